@@ -22,8 +22,9 @@ import numpy as np
 from dynaviz.arrays import F64, Bool
 from dynaviz.diagnosis.finding import Confidence, Finding
 from dynaviz.diagnosis.trajectory import FAULTS, MAX_TILT, Pose, facing, tilt_of
-from dynaviz.diagnosis.views import FLAT, ScanView, ground_layer, hidden
+from dynaviz.diagnosis.views import ScanView, ground_below, hidden
 from dynaviz.spatial import geometry
+from dynaviz.spatial.scan_ground import FLAT
 
 Pairs = Sequence[tuple[ScanView, ScanView]]
 
@@ -33,7 +34,6 @@ ENOUGH = 5_000  # points by which overlap is measured
 SHIFT = 0.3  # metres; median way by which an interpretation must move a cloud: errors of poses are smaller
 OTHER_PLACE = 1.0  # metres; by which it must move the sensor, if only the position differs
 LAG = 2.0  # metres; way by which the middle of a cloud changes even if the sensor stays in it
-HIGHEST = 7.0  # metres above the ground; higher sensors do not show it
 SAME_HEIGHT = 0.5  # metres; standard deviation of the height above the ground, at most
 MOST = 0.6  # share of pairs in which an interpretation must differ and be better
 
@@ -265,8 +265,8 @@ def _outside(found: Interpretations, each: Interpretation) -> float:
 
 def _level(found: Interpretations, each: Interpretation) -> bool:
     """Whether the sensor is at one height above the ground in most scans."""
-    layers = [ground_layer(b, np.array([0.0, 0.0, 1.0]), each.pose(b.T)[:3, 3]) for _, b in found.views]
-    heights = np.array([height for height, share in layers if share >= FLAT and height < HIGHEST])
+    layers = [ground_below(b, np.array([0.0, 0.0, 1.0]), each.pose(b.T)[:3, 3]) for _, b in found.views]
+    heights = np.array([height for height, share in layers if share >= FLAT])
     return len(heights) >= MOST * len(layers) and float(np.std(heights)) < SAME_HEIGHT
 
 

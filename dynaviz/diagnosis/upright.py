@@ -10,10 +10,10 @@ from dynaviz.arrays import F64
 from dynaviz.diagnosis.alignment import Pairs
 from dynaviz.diagnosis.finding import Confidence, Finding, settable
 from dynaviz.diagnosis.trajectory import CAMERA, FAULTS, MAX_TILT, W_LAST, backwards, tilt_of
-from dynaviz.diagnosis.views import FLAT, ScanView, ground_layer, to_z
+from dynaviz.diagnosis.views import ScanView, ground_below, to_z
+from dynaviz.spatial.scan_ground import FLAT
 
 UPRIGHT = 20.0  # degrees of tilt that are left after a correction, at most
-SOME_GROUND = 0.1  # the same share, if the sensor's axis agrees: ground may slope
 NARROWER = 0.7  # factor by which the right axis makes the vertical field of view narrower
 AXES = {"y": (0, 1, 0), "-y": (0, -1, 0), "x": (1, 0, 0), "-x": (-1, 0, 0), "-z": (0, 0, -1)}
 
@@ -45,14 +45,14 @@ def _other_up(scans: Sequence[ScanView], tilt: float) -> Finding | None:
     if not scans:
         return None
     z, axes = np.array([0.0, 0.0, 1.0]), {name: np.array(up, np.float64) for name, up in AXES.items()}
-    flat = {name: float(np.mean([ground_layer(s, up)[1] for s in scans])) for name, up in axes.items()}
-    given = float(np.mean([ground_layer(s, z)[1] for s in scans]))
+    flat = {name: float(np.mean([ground_below(s, up)[1] for s in scans])) for name, up in axes.items()}
+    given = float(np.mean([ground_below(s, z)[1] for s in scans]))
     along = {name: float(np.median([s.T[:3, 2] @ up for s in scans])) for name, up in axes.items()}
     name = max(along, key=lambda name: along[name]) if tilt > MAX_TILT else max(flat, key=lambda name: flat[name])
     up = axes[name]
     if tilt > MAX_TILT:
         turned = along[name] < np.cos(np.radians(UPRIGHT)) or not (name == "-z" or _narrow(scans, up, z))
-        if turned or given >= FLAT or flat[name] < max(given, SOME_GROUND):
+        if turned or given >= FLAT or flat[name] < max(given, FLAT):
             return None
     elif flat[name] < FLAT + given or not _narrow(scans, up, z):
         return None
@@ -60,8 +60,8 @@ def _other_up(scans: Sequence[ScanView], tilt: float) -> Finding | None:
     return Finding(
         "world not z-up",
         Confidence.LIKELY,
-        f"the ground is flat along the world's {name} axis: {flat[name]:.0%} of the square metres around the sensor "
-        f"form one layer, along z only {given:.0%}, so {name} points up",
+        f"the ground is flat along the world's {name} axis: {flat[name]:.0%} of the cells around the sensor "
+        f"show ground, along z only {given:.0%}, so {name} points up",
         f"Rotate the world: with R = [{rotation}], write R @ T[:3] for each pose, and R @ points if points are in the "
         "world frame",
     )
@@ -116,5 +116,5 @@ def ground(views: Pairs, height: float | None, sensor: str) -> Iterator[Finding]
 
 def ground_height(view: ScanView) -> float | None:
     """Height of the sensor above the ground, metres; None if the ground is not seen well enough."""
-    height, share = ground_layer(view, np.array([0.0, 0.0, 1.0]))
+    height, share = ground_below(view, np.array([0.0, 0.0, 1.0]))
     return height if share >= FLAT else None

@@ -12,6 +12,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.trajectory import Pose, angle
 from dynaviz.spatial import geometry
 from dynaviz.spatial.grid import voxel_downsample
+from dynaviz.spatial.scan_ground import sensor_height
 
 CELL = 0.4  # metres; voxel size for comparing scans
 SAMPLE = 20_000  # points in which hidden ones are counted
@@ -21,7 +22,6 @@ MIN_MOVE, MIN_TURN = 1.0, 5.0  # metres and degrees between the two scans of a p
 MAX_APART = 40  # frames between the two scans of a pair
 MIN_POINTS = 50  # downsampled points that a scan needs to be compared
 SWEEP = 0.1  # seconds; duration of a sweep, at most, if frames have times
-FLAT = 0.3  # share of the square metres around the sensor whose lowest points form one layer: ground
 NEIGHBOUR = 5  # frames to a neighbour that shows the speed
 LONGEST = 1.5  # metres; the sensor's way during half a sweep, at most
 
@@ -197,8 +197,8 @@ def around(row: int, positions: Sequence[int], poses: Sequence[F64], stamps: Seq
     return np.array(found) if found else None
 
 
-def ground_layer(view: ScanView, up: F64, position: F64 | None = None) -> tuple[float, float]:
-    """The lowest points of each square metre around the sensor, as far as they form one layer.
+def ground_below(view: ScanView, up: F64, position: F64 | None = None) -> tuple[float, float]:
+    """The ground of a scan around the sensor, if an axis of the world points up.
 
     Args:
         view: the scan.
@@ -206,25 +206,9 @@ def ground_layer(view: ScanView, up: F64, position: F64 | None = None) -> tuple[
         position: (3,) metres: of the sensor; None for the given one.
 
     Returns:
-        Height of the sensor above the layer, metres, and the layer's share of the square metres; zeros if too few
-        square metres are seen.
+        As from ``sensor_height``.
     """
-    local = (view.sample - (view.T[:3, 3] if position is None else position)) @ to_z(up).T
-    distance = np.hypot(local[:, 0], local[:, 1])
-    local = local[(distance > 1.5) & (distance < 15) & (local[:, 2] < -0.2) & (local[:, 2] > -8)]
-    if len(local) < 200:
-        return 0.0, 0.0
-    square = np.floor(local[:, :2]).astype(np.int64) @ np.array([1000, 1])
-    order = np.lexsort((local[:, 2], square))
-    first = np.flatnonzero(np.diff(square[order], prepend=square.min() - 1))
-    lowest = local[order[first], 2]
-    if len(lowest) < 30:
-        return 0.0, 0.0
-    layers = np.histogram(lowest, np.arange(-8, 0.01, 0.1))[0]
-    smoothed = np.convolve(layers, np.ones(3), "same")
-    best = int(np.argmax(smoothed))
-    height = -np.median(lowest[np.abs(lowest - (-8 + 0.1 * best + 0.05)) < 0.15])
-    return float(height), float(smoothed[best] / len(lowest))
+    return sensor_height((view.sample - (view.T[:3, 3] if position is None else position)) @ to_z(up).T)
 
 
 def to_z(up: F64) -> F64:

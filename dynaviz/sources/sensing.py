@@ -16,6 +16,7 @@ from dynaviz.contracts.scan import Scan, Sequence, select_frames
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError, addressed
 from dynaviz.spatial.motion import smoothed
+from dynaviz.spatial.scan_ground import sensor_height
 from dynaviz.spatial.trajectory import Trajectory
 
 ESTIMATED = ("height", "rings", "elevation", "max_range", "rate", "points_per_sweep")
@@ -27,11 +28,9 @@ MOST_ROWS = 300
 BEYOND = 20.0  # metres; range at which lasers 0.2 m apart differ by 0.6 degrees
 AROUND_SCAN = 2  # scans before and after a scan that show how the sensor moves
 PARALLAX = 4.0  # degrees; by which lasers 0.2 m apart differ at 3 m
-NEAR, AROUND, FARTHEST = 1.5, 12.0, 40.0  # metres; horizontal distances within which the ground is fitted
 TICK = 100_000  # nanoseconds; a vehicle that turns by 60 degrees per second turns by 0.006 degrees
 SAME_PLACE, MOST_LIDARS = 0.03, 8  # metres between the starts of two rays of one lidar; lidars on a vehicle
 FEWEST_RAYS = 0.05  # share of the rays that a lidar has at least
-LAYER = 0.1  # metres; thickness of layers in which the ground is looked for
 
 
 @dataclass(frozen=True)
@@ -249,25 +248,9 @@ def _ends(elevations: F64, ranges: F64, stray: float) -> tuple[float, float]:
 
 
 def height_of(rays: ScanRays) -> float | None:
-    """Distance of the sensor from the plane of the ground; None if there is none."""
-    x, y, z = rays.ends.T
-    around, lowest = np.hypot(x, y), np.radians(max(-float(np.percentile(rays.elevations, 0.5)), 1.0))
-    far = np.clip(3.0 / np.tan(lowest), AROUND, FARTHEST)  # a sensor that looks less down sees the ground farther away
-    chosen = (around > NEAR) & (around < far) & (z < -0.1) & (z > -6)
-    if chosen.sum() < 200:
-        return None
-    x, y, z = x[chosen], y[chosen], z[chosen]
-    counts, edges = np.histogram(z, np.arange(-6, LAYER, LAYER))
-    layer = int(np.flatnonzero(counts > 0.3 * counts.max())[0])
-    near = np.abs(z - (edges[layer] + LAYER)) < 3 * LAYER
-    plane = np.zeros(3)
-    for tolerance in (0.2, 0.1, 0.05, 0.05):
-        A = np.column_stack([x[near], y[near], np.ones(near.sum())])
-        if len(A) < 100:
-            return None
-        plane = np.linalg.lstsq(A, z[near], rcond=None)[0]
-        near = np.abs(z - (plane[0] * x + plane[1] * y + plane[2])) < tolerance
-    return float(-plane[2] / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2))
+    """Distance of the sensor from the plane of the ground, metres; None if too little of it is seen."""
+    height, shown = sensor_height(rays.ends)
+    return height if shown else None
 
 
 def _azimuth(azimuths: F64) -> tuple[float, float]:

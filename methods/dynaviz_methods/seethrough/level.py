@@ -7,14 +7,12 @@ import math
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F64, I64, U8, Bool
-from dynaviz.spatial.scan_ground import EDGE, EXACT, FULL, NEAR, REACH, ScanGround
+from dynaviz.arrays import F64, I64, Bool
+from dynaviz.spatial.scan_ground import EDGE, EXACT, FULL, NEAR, REACH, ROUNDS, Cells, ScanGround, weights
 
 OTHER = EDGE  # metres: ground that differs by more, after levelling, is that of another floor
 OFF = 2 * EXACT  # metres: poses whose ground agrees within the errors of both, up to ``NEAR``, stay as they are
 WRAP = 8 * REACH  # cells along x and y after which the ground of earlier scans is forgotten
-ROUNDS = 5  # iterations of a fit
-Cells = tuple[tuple[I64, I64], F64, F64, F64, U8]  # as from ``_cells``
 
 
 class Level:
@@ -35,7 +33,7 @@ class Level:
 
     def error(self, surface: ScanGround, position: F64) -> F64:
         """(3,) float64: the error of the pose of the next scan, whose sensor is at ``position``."""
-        cells = _cells(surface, position)
+        cells = surface.cells(position)
         found = self._fitted(cells, position)
         if abs(found[0]) > self._limit:
             self._weight[:], found = 0.0, np.zeros(3)
@@ -71,19 +69,7 @@ class Level:
         x, y = at[0] % WRAP, at[1] % WRAP
         same = known & (np.abs(z - before) < OTHER)
         old = np.where(same, self._weight[x, y], 0.0)
-        own = number / (1.0 + (dx * dx + dy * dy) / 100.0)
+        own = weights(dx, dy, number)
         self._height[x, y] = (old * np.where(same, before, 0.0) + own * z) / (old + own)
         self._weight[x, y] = old + own
         self._keys[x, y, 0], self._keys[x, y, 1] = at
-
-
-def _cells(surface: ScanGround, position: F64) -> Cells:
-    """The seen cells (K,) up to ``NEAR`` away: their keys, dx and dy from the sensor, height, number of points."""
-    middle, far = len(surface.number) // 2, math.ceil(NEAR / EDGE) + 1
-    low = max(middle - far, 0)
-    rows = tuple(low + each for each in np.nonzero(surface.number[low : middle + far, low : middle + far]))
-    at = rows[0] + surface.first[0], rows[1] + surface.first[1]
-    dx, dy = ((key + 0.5) * EDGE - centre for key, centre in zip(at, position[:2], strict=True))
-    near = dx * dx + dy * dy < NEAR * NEAR
-    z, number = surface.height[rows] / 1000 + surface.z, surface.number[rows]
-    return (at[0][near], at[1][near]), dx[near], dy[near], z[near], number[near]
