@@ -160,11 +160,14 @@ let layouts = 0
 /** Lay out the viewers; of several requests on their way, the last one counts. */
 async function layOut(eye) {
   const mine = ++layouts, { case: number, layout: kind } = current()
-  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => {
-    const answer = await ask('layout', layoutQuery(letter, eye))
-    if (mine === layouts) viewer.show(answer)
-  })).catch(error => say(error.message))
+  await Promise.all(Object.keys(viewers).map(letter => arrange(letter, eye))).catch(error => say(error.message))
   if (mine === layouts) document.body.dataset.layout = `${kind}-${number}`
+}
+
+/** Lay out one viewer, unless another layout was asked for meanwhile. */
+async function arrange(letter, eye) {
+  const mine = layouts, answer = await ask('layout', layoutQuery(letter, eye))
+  if (mine === layouts) viewers[letter].show(answer)
 }
 
 /** The mark and the rays of the explained point. */
@@ -183,7 +186,7 @@ function openViewer(letter, frame) {
   viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, ask('layout', { ...layoutQuery(letter), first: 1 })], frame, {
     drawn: async () => {
       section.querySelector('.preview')?.remove()
-      if (current().layout === 'case') viewers[letter].show(await ask('layout', layoutQuery(letter)))
+      if (current().layout === 'case') await arrange(letter)
       loaded()
       if (Object.values(viewers).every(viewer => viewer.drawn)) document.body.dataset.ready = 'viewer'
     },
