@@ -24,7 +24,7 @@ from dynaviz.diagnosis.finding import Confidence, Finding
 from dynaviz.diagnosis.trajectory import FAULTS, MAX_TILT, Pose, facing, tilt_of
 from dynaviz.diagnosis.views import ScanView, ground_below, hidden
 from dynaviz.spatial import geometry
-from dynaviz.spatial.scan_ground import FLAT
+from dynaviz.spatial.sensor_height import FLAT
 
 Pairs = Sequence[tuple[ScanView, ScanView]]
 

@@ -12,7 +12,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.trajectory import Pose, angle
 from dynaviz.spatial import geometry
 from dynaviz.spatial.grid import voxel_downsample
-from dynaviz.spatial.scan_ground import sensor_height
+from dynaviz.spatial.sensor_height import sensor_height
 
 CELL = 0.4  # metres; voxel size for comparing scans
 SAMPLE = 20_000  # points in which hidden ones are counted

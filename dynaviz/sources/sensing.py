@@ -16,7 +16,7 @@ from dynaviz.contracts.scan import Scan, Sequence, select_frames
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError, addressed
 from dynaviz.spatial.motion import smoothed
-from dynaviz.spatial.scan_ground import sensor_height
+from dynaviz.spatial.sensor_height import sensor_height
 from dynaviz.spatial.trajectory import Trajectory
 
 ESTIMATED = ("height", "rings", "elevation", "max_range", "rate", "points_per_sweep")

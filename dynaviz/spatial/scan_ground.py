@@ -20,9 +20,6 @@ STEEP = 2 * SLOPE  # both of them: steepest ground, as seen from the sensor; ste
 EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
 FULL = 5  # points: cells with fewer count less
 ROUNDS = 5  # iterations of a fit
-HIGHEST = 7.0  # metres of a sensor above the ground; higher ones do not show it
-FEWEST = 50  # cells below a sensor that show its height
-FLAT = 0.5  # share of these that show ground, if the third axis is up
 Cells = tuple[tuple[I64, I64], F64, F64, F64, U8]  # as from ``ScanGround.cells``
 
 
@@ -87,28 +84,6 @@ def weights(dx: F64, dy: F64, number: U8) -> F64:
     """(K,) float64: weights of cells, from their distance along x and y, metres, and points; near ones count most."""
     found: F64 = number / (1.0 + (dx * dx + dy * dy) / 100.0)
     return found
-
-
-def sensor_height(local: F64) -> tuple[float, float]:
-    """The height of a sensor above the ground that one of its scans shows.
-
-    Args:
-        local: (N, 3) float64, metres: points from the sensor, the third axis up.
-
-    Returns:
-        Its distance from the plane of the ground around it, metres, in which near ground counts most; and the share of
-        the cells with points below it that show ground. Zeros if these are fewer than ``FEWEST``.
-    """
-    reach = REACH // 2
-    below = (local[:, 2] < -LAYER) & (local[:, 2] > -HIGHEST) & (np.abs(local[:, :2]) < reach * EDGE).all(1)
-    points, sensor = local[below].astype(np.float32), np.zeros(3)
-    seen = len(np.unique(np.floor(points[:, :2] / EDGE), axis=0))
-    if seen < FEWEST:
-        return 0.0, 0.0
-    _, x, y, z, number = ScanGround.of(points, sensor, reach).cells(sensor)
-    start = np.array([np.median(z) if len(z) else 0.0, 0.0, 0.0])
-    c, a, b = kernels.scan_ground.plane(x, y, z, weights(x, y, number), start, EXACT, ROUNDS)
-    return float(-c / math.sqrt(1.0 + a * a + b * b)), len(z) / seen
 
 
 def _filled(z: F64, weight: F64) -> F64:

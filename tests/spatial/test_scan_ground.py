@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz.spatial.scan_ground import EDGE, REACH, ScanGround, sensor_height
+from dynaviz.spatial.scan_ground import EDGE, REACH, ScanGround
+from dynaviz.spatial.sensor_height import sensor_height
 from dynaviz.testing.world import SLOPE, crossing
 
 
