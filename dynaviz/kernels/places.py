@@ -194,7 +194,7 @@ def reaches(points, objects, count):
 def _way(before, after, guard):
     """Along which of the ``WAYS`` an object is displaced, given how far it reaches: (8,) metres each; -1 if it is not.
 
-    By a translation of at least twice the guard, to half of it, and of at most half of its length.
+    By a translation of at least twice the guard, to half of it. If it is by more than half of its length: -2.
     """
     x, y = (after[0] - before[0] - after[4] + before[4]) / 2, (after[1] - before[1] - after[5] + before[5]) / 2
     if x * x + y * y < 4 * guard * guard:  # most objects stand: to see this first saves a third of the time
@@ -206,7 +206,9 @@ def _way(before, after, guard):
             return -1
         if along > far:
             way, far = k, along
-    return way if 2 * guard <= far <= (before[way] + before[(way + 4) % 8]) / 2 else -1
+    if far > (before[way] + before[(way + 4) % 8]) / 2:
+        return -2
+    return way if far >= 2 * guard else -1
 
 
 @njit(cache=True, nogil=True)
@@ -242,17 +244,19 @@ def _before(firsts, at, columns, width):
     return found
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def moved(firsts, at, columns, width, reach, guard, steps, centres, rows, begins, own, shared, link):
+@njit(cache=True, nogil=True)
+def moved(firsts, at, columns, width, reach, guard, steps, least, centres, rows, begins, own, shared, link):
     """(O,) bool: objects that moved along themselves, of whose middle nothing was ever seen clear.
 
     Each object continues the last one with which it shares most columns, if these are more than half of one of them. It
     is displaced from where an earlier one was, up to ``steps`` before it, if its outline is, if nothing was at its new
-    end before and nothing at the old one since, and if one of these is dynamic; all for most places. Then both are.
+    end before and nothing at the old one since, and if one of these is dynamic; all for most places. An object has
+    moved if it is displaced from more than a share of the earlier ones, or of the later ones; those from which it is
+    displaced by more than half of its length do not count.
 
     Args:
         firsts, at, columns, width: as in ``follow``.
-        reach: (O, 8) float32, metres, as from ``reaches``; guard: metres; steps: number of scans.
+        reach: (O, 8) float32, metres, as from ``reaches``; guard: metres; steps: number of scans; least: the share.
         centres: (R + 1, 2) float32, metres: those of places; rows, begins, own, shared, link: as in ``certainties``.
     """
     came, gone = np.full(len(own), -1), np.empty(len(own), np.int64)
@@ -261,22 +265,25 @@ def moved(firsts, at, columns, width, reach, guard, steps, centres, rows, begins
         when[firsts[t] : firsts[t + 1]] = t
         for r in rows[begins[firsts[t]] : begins[firsts[t + 1]]]:
             came[r], gone[r] = t if came[r] < 0 else came[r], -t
-    of_places = own, shared, link
-    found, before = np.zeros(len(reach), np.bool_), _before(firsts, at, columns, width)
-    for of in prange(len(reach)):
+    of_places, before = (own, shared, link), _before(firsts, at, columns, width)
+    compared, displaced = np.zeros((2, len(reach)), np.int64), np.zeros((2, len(reach)), np.int64)
+    for of in range(len(reach)):
         other, mine = before[of], rows[begins[of] : begins[of + 1]]
         for _ in range(steps):
             if other < 0:
                 break
             way = _way(reach[other], reach[of], guard)
+            if way > -2:
+                compared[0, of], compared[1, other] = compared[0, of] + 1, compared[1, other] + 1
             if way >= 0:
                 back, theirs = (way + 4) % 8, rows[begins[other] : begins[other + 1]]
                 new, one = _end(mine, way, reach[other, way], centres, came, when[other], *of_places)
                 old, two = _end(theirs, back, reach[of, back], centres, gone, -when[of], *of_places)
                 if new and old and (one or two):
-                    found[of] = found[other] = True
+                    displaced[0, of], displaced[1, other] = displaced[0, of] + 1, displaced[1, other] + 1
             other = before[other]
-    return found
+    over = displaced > least * compared
+    return over[0] | over[1]
 
 
 @njit(cache=True, nogil=True)

@@ -237,7 +237,7 @@ def plane(x, y, z, weight, start, exact, rounds):
     c, a, b = start[0], start[1], start[2]
     for _ in range(rounds):
         m = np.zeros((3, 4))
-        m[0, 0], m[1, 1], m[2, 2] = 1e-6, 100.0, 100.0  # flat if nothing says otherwise
+        m[0, 0], m[1, 1], m[2, 2] = 1e-6, 1e5, 1e5  # flat, unless cells far enough away say otherwise
         for k in range(len(x)):
             w = weight[k] / max(abs(z[k] - c - a * x[k] - b * y[k]), exact)
             row = (1.0, x[k], y[k], z[k])

@@ -18,9 +18,11 @@ from dynaviz.contracts.method import Context
 from dynaviz.contracts.probe import MemoryProbe
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
+from dynaviz.spatial.scan_ground import ScanGround
 from dynaviz.testing import crossing
 from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams, history
 from dynaviz_methods.seethrough.clear_grid import SENSORS, ClearGrid, _distinct
+from dynaviz_methods.seethrough.level import Level
 from dynaviz_methods.seethrough.method import (
     BY_PLACE,
     FOLLOWED,
@@ -167,13 +169,15 @@ def test_an_object_that_moves_by_less_than_half_its_length_has_moved(sigma: floa
         ({"dynamic": (False, True)}, True),
         ({"dynamic": (False, False)}, False),
         ({"steps": 1}, False),
+        ({"least": 0.5}, False),  # from one of two earlier ones: no more than half
     ],
 )
 def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
     change: dict[str, Any], found: bool
 ) -> None:
     """A vehicle of 4 m in the first scan, unknown in the second one, and displaced in the third; and something else."""
-    case = {"shift": 1.0, "wider": 0.0, "new": True, "old": True, "dynamic": (True, True), "steps": 2} | change
+    case = {"shift": 1.0, "wider": 0.0, "new": True, "old": True, "dynamic": (True, True), "steps": 2, "least": 0.12}
+    case |= change
     ways = kernels.places.WAYS
     outline = np.abs(ways) @ [2.0, 1.0]
     reach = np.array([outline, outline, 2 * outline, outline + ways @ [case["shift"], 0.0], outline], np.float32)
@@ -193,7 +197,7 @@ def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
         evidence[rows(end)] = 0.1 if dynamic else -0.1
     tracks = np.array([0, 2, 3, 5]), np.arange(6), np.array([0, 1, 0, 0, 1]), 2
     of_places = rows(np.concatenate(xs)), np.cumsum([0, *map(len, xs)]), evidence, np.zeros_like(evidence), 0.5
-    result = kernels.places.moved(*tracks, reach, 0.3, case["steps"], centres, *of_places)
+    result = kernels.places.moved(*tracks, reach, 0.3, case["steps"], case["least"], centres, *of_places)
     assert result.tolist() == [found, False, False, found, False]
 
 
@@ -222,6 +226,17 @@ def test_errors_of_poses_in_height_and_tilt_do_no_harm(lift: float, slope: float
         removed = method.label(scan).dynamic
         assert removed[:n].mean() < 0.005
         assert removed[n:].mean() > 0.95
+
+
+def test_a_little_ground_next_to_the_sensor_does_not_tilt_later_scans() -> None:
+    """The first scans see a sloping surface of 3 x 3 m below the sensor, as one next to a vehicle; then the road."""
+    level, sensor, random = Level(3.0), np.zeros(3), np.random.default_rng(0)
+    for reach, slope in [(1.6, 0.1)] * 2 + [(14.0, 0.0)] * 6:
+        x, y = (axis.ravel() for axis in np.meshgrid(*[np.arange(-reach, reach, 0.1)] * 2))
+        z = slope * x - 1.0 + random.normal(0, 0.02, len(x))
+        found = level.error(ScanGround.of(np.stack([x, y, z], 1).astype(np.float32), sensor), sensor)
+    assert np.abs(found[1:]).max() < 0.01
+    assert abs(found[0]) < 0.1
 
 
 def test_nothing_is_low_where_no_ground_is_known() -> None:

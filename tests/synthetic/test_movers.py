@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dynaviz.synthetic.simulate import PRESETS
 from dynaviz.synthetic.simulate.movers import Movement, Route, arrive, cruise, depart
+from dynaviz.synthetic.simulate.parallel import build
 
 
 def flat(x, y):
@@ -62,3 +64,13 @@ def test_vehicles_follow_the_slope_and_people_stay_upright(upright):
     up = (0, 0, 1) if upright else np.array([-0.1, 0, 1]) / np.sqrt(1.01)
     np.testing.assert_allclose(pose[:3, 2], up, atol=1e-12)
     assert pose[2, 3] == pytest.approx(0.1 * pose[0, 3])
+
+
+@pytest.mark.parametrize("frames", [50, 130, 200])
+@pytest.mark.parametrize("preset", ["street_hdl64", "street_vlp16"])
+def test_no_vehicle_drives_through_the_sensor(preset, frames):
+    scene = build(PRESETS[preset], frames, 3)
+    for time in np.arange(0.0, scene.duration, 0.2):
+        here = scene.sensor.pose(time, scene.height)[:2, 3]
+        poses = [mover.motion.pose(time, scene.height) for mover in scene.movers]
+        assert min(np.hypot(*(pose[:2, 3] - here)) for pose in poses if pose is not None) > 1.5

@@ -196,7 +196,9 @@ def _parking_cars(scene: SimulatedScene, road: Street, speed: float) -> tuple[fl
     swing_in = np.interp(stations, [into - 14, into - 4], [LANE, BAY])
     path = road.middle.shifted(-_eased(swing_in))
     end = road.station(path, into, -BAY)
-    scene.move(ObjectClass.MOVING_CAR, path, arrive(end, 6.0, 0.45 * scene.duration), objects.car(scene.rng))
+    latest = (into - ENDS - 5.0) / 6.0 + 2.0  # to brake takes 2 s longer; at first, the car is 5 m ahead of the sensor
+    stands = min(0.45 * scene.duration, latest)
+    scene.move(ObjectClass.MOVING_CAR, path, arrive(end, 6.0, stands), objects.car(scene.rng))
     swing_out = np.interp(stations, [out_of + 2, out_of + 12], [BAY, LANE])
     path = road.middle.shifted(-_eased(swing_out))
     scene.move(

@@ -179,7 +179,7 @@ class History:
         reach = np.concatenate([each.reach for each in visits])
         quarters = np.stack([places >> 1 & 1, places & 1], 1)
         centres = (2 * self._grid.blocks[places >> 2, :2] + quarters + 0.5) * (PLACE * self._grid.resolution)
-        moves = reach, self._guard, SCANS, centres.astype(np.float32)
+        moves = reach, self._guard, SCANS, self._weights[1], centres.astype(np.float32)
         dynamic |= kernels.places.moved(*tracks, *moves, *of_places)
         forward, backward = dynamic.copy(), dynamic.copy()
         kernels.places.follow(*tracks, forward, False)

@@ -12,8 +12,8 @@
     place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
                 of voxels that contained points of objects, and that another scan hit or crossed
     certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan, which weigh 1 + |k|
-    moved:      an object has moved if its outline, within guard / 2, is its own of up to 64 scans before, displaced by
-                2 guard to half its length, nothing was at its new end before or at its old one since, one is dynamic
+    moved:      an object has moved if its outline, within guard / 2, is displaced by 2 guard to half its length in over
+                ``hit`` of 64 scans, nothing was at its new end before or at its old one since, and one is dynamic
     track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time or back: it covers
                 over half of the 0.8 m columns of each, they half of its and over half of those visited before; or one
                 covers over half of it, where nothing static was; those dynamic alone on the way have as many columns
@@ -69,7 +69,7 @@ class SeeThroughParams:
             most 7 voxels.
         votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
         near: weight of a crossing near a hit, against one clear crossing.
-        hit: weight of a hit, against one clear crossing.
+        hit: weight of a hit, against one clear crossing; share of the scans in which an object that moved is displaced.
         prior: evidence that a place must exceed in 64 scans or more, with what it inherits, from 0 to less than 1; hits
             alone are at most so much evidence against it.
         inherit: weight of what a place inherits from objects.
