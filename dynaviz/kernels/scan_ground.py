@@ -225,19 +225,20 @@ def bands(heights, exact, low, highest):
 
 
 @njit(cache=True, nogil=True)
-def plane(x, y, z, weight, start, exact, rounds):
+def plane(x, y, z, weight, start, flat, exact, rounds):
     """(3,) float64: the plane c + a x + b y through most points (K,) each: iterated least squares, which tend to L1.
 
     Args:
         x, y, z, weight: (K,) float64, metres, and without unit.
         start: (3,) float64, the first guess of c, a and b.
+        flat: square metres: weight of a = b = 0, so that a few cells near the origin do not tilt the plane.
         exact: metres: cells that fit worse count less, in inverse proportion.
         rounds: number of iterations.
     """
     c, a, b = start[0], start[1], start[2]
     for _ in range(rounds):
         m = np.zeros((3, 4))
-        m[0, 0], m[1, 1], m[2, 2] = 1e-6, 1e5, 1e5  # flat, unless cells far enough away say otherwise
+        m[0, 0], m[1, 1], m[2, 2] = 1e-6, flat, flat
         for k in range(len(x)):
             w = weight[k] / max(abs(z[k] - c - a * x[k] - b * y[k]), exact)
             row = (1.0, x[k], y[k], z[k])

@@ -33,5 +33,5 @@ def sensor_height(local: F64) -> tuple[float, float]:
         return 0.0, 0.0
     _, x, y, z, number = ScanGround.of(points, sensor, reach).cells(sensor)
     start = np.array([np.median(z) if len(z) else 0.0, 0.0, 0.0])
-    c, a, b = kernels.scan_ground.plane(x, y, z, weights(x, y, number), start, EXACT, ROUNDS)
+    c, a, b = kernels.scan_ground.plane(x, y, z, weights(x, y, number), start, 1e-6, EXACT, ROUNDS)
     return float(-c / math.sqrt(1.0 + a * a + b * b)), len(z) / seen
