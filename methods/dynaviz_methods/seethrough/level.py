@@ -12,7 +12,7 @@ from dynaviz.spatial.scan_ground import EDGE, EXACT, FULL, NEAR, REACH, ROUNDS, 
 
 OTHER = EDGE  # metres: ground that differs by more, after levelling, is that of another floor
 OFF = 2 * EXACT  # metres: poses whose ground agrees within the errors of both, up to ``NEAR``, stay as they are
-FLAT = 1e5  # square metres: weight of a pose's own incline, against that of cells of ground by their squared distance
+INCLINE = 1e5  # square metres: weight of a pose's own incline; that of a cell of ground grows with its squared distance
 WRAP = 8 * REACH  # cells along x and y after which the ground of earlier scans is forgotten
 
 
@@ -52,7 +52,7 @@ class Level:
         if not known.any():
             return np.array([start[0], 0.0, 0.0])
         weight = np.minimum(number[known], 2 * FULL).astype(np.float64)
-        fit = dx[known], dy[known], (z - before)[known], weight, start, FLAT, EXACT, ROUNDS
+        fit = dx[known], dy[known], (z - before)[known], weight, start, INCLINE, EXACT, ROUNDS
         found: F64 = kernels.scan_ground.plane(*fit)
         return found if abs(found[0]) + NEAR * math.hypot(found[1], found[2]) > OFF else np.zeros(3)
 
