@@ -8,7 +8,7 @@ from numba import njit
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 FIRST_SLOTS = 1024  # of a hash table that grows
-WIDEST = 2  # cells of objects are up to 2^WIDEST voxels wide
+WIDEST = 3  # cells of objects are up to 2^WIDEST voxels wide
 ABOVE = 1 << 14  # layers by which those twice as wide lie above all others: no two widths are adjacent
 # Half of the 26 neighbours of a cell, the others being covered from their side: one above it, and three in each of four
 # columns. Per column, the steps from the cell's key to the lowest and the highest of theirs.
@@ -52,7 +52,7 @@ def _join(parent, a, b):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cells_of(points, chosen, sensor, voxel, angle):
-    """The cells that contain chosen points: 8 voxels high, and 1, 2 or 4 voxels wide, as wide as an angle allows.
+    """The cells that contain chosen points: 8 voxels high, and 1, 2, 4 or 8 voxels wide, as an angle allows.
 
     The farther points are from the sensor, the farther apart are those of one surface, and the wider are the cells. A
     point less than a wider cell from where these begin is in one of them, too, so that no object ends there. Cells are

@@ -292,9 +292,9 @@ def follow(firsts, at, columns, width, dynamic, back):
 
     It continues the last dynamic objects of its columns if it covers more than half of each, and they, together, at
     least half of it and more than half of those of its columns that any object visited before; or as a part of one,
-    which covers more than half of it, in columns that dynamic objects visited before any other. In both cases, those
-    that are dynamic by themselves on the way to it must have as many columns as it, or more, in all scans together: a
-    fragment tells nothing about what it merges into.
+    which covers more than half of it, in columns that dynamic objects visited before any other. In both cases, the
+    columns of those on the way to it that are dynamic by themselves, less those of the others, must once have been as
+    many as its own: a fragment tells nothing about what it merges into, nor errors of single scans about what stands.
 
     Args:
         firsts: (F + 1,) int64: the first object of each scan.
@@ -304,7 +304,8 @@ def follow(firsts, at, columns, width, dynamic, back):
     """
     scans, shared, last = len(firsts) - 1, np.zeros(len(dynamic), np.int64), np.full(width, -1)
     visited, free = np.zeros(width, np.bool_), np.zeros(width, np.bool_)
-    shown = np.where(dynamic, np.diff(at), 0)  # by object: columns of those in its track that are dynamic by themselves
+    run = np.where(dynamic, np.diff(at), -np.diff(at))  # by object: columns of its track that are dynamic, less others
+    shown = np.maximum(run, 0)  # the most that these ever were
     for step in range(scans):
         t = scans - 1 - step if back else step
         for of in range(firsts[t], firsts[t + 1]):
@@ -312,16 +313,17 @@ def follow(firsts, at, columns, width, dynamic, back):
             for c in its:
                 if last[c] >= 0:
                     shared[last[c]] += 1
-            covered, part, known, before = 0, 0, 0, 0
+            covered, part, known, most, before = 0, 0, 0, 0, 0
             for c in its:
                 other = last[c]
                 covers = other >= 0 and 2 * shared[other] > at[other + 1] - at[other]
                 within = other >= 0 and 2 * shared[other] > size and free[c]
                 covered, part, known = covered + covers, part + within, known + visited[c]
                 if covers or within:
-                    before = max(before, shown[other])
+                    most, before = max(most, shown[other]), max(before, run[other])
             if (2 * covered > known and 2 * covered >= size) or 2 * part > size:
-                shown[of] += before
+                run[of] = max(run[of] + before, 0)
+                shown[of] = max(most, run[of])
                 dynamic[of] |= shown[of] >= size
             for c in its:
                 if last[c] >= 0:

@@ -404,6 +404,15 @@ def test_fragments_tell_only_about_objects_of_which_they_showed_as_much(times: i
 
 
 @pytest.mark.plain
+@pytest.mark.parametrize(("apart", "dynamic"), [(False, True), (True, False)])
+def test_errors_of_scans_apart_do_not_add_up(apart: bool, dynamic: bool) -> None:
+    """Two columns look dynamic in two scans, in turn or with such between them in which they do not."""
+    scans = [[[0, 1]]] * 4 + [[[0, 1, 2, 3]]]
+    shown = [True, False, True, False] if apart else [True, True, False, False]
+    assert followed(scans, [*shown, False]) == [True] * 4 + [dynamic]
+
+
+@pytest.mark.plain
 @pytest.mark.parametrize(("before", "dynamic"), [([], True), ([[2, 3]], False)])
 def test_an_object_that_comes_into_view_is_followed_where_nothing_was_before(
     before: list[list[int]], dynamic: bool
@@ -529,9 +538,9 @@ def test_objects_are_connected_components(seed: int, voxel: float, angle: float)
     widest = angle * np.hypot(*(points[rows, :2].astype(np.float64) - sensor).T) / voxel
     cells = []  # of each point: the size of one of its cells, and the cell's place
     for row, most in zip(rows.tolist(), widest, strict=True):
-        size = sum(2**each <= most for each in (1, 2))
+        size = sum(2**each <= most for each in (1, 2, 3))
         border = 2 ** (size + 1)
-        for of in (size, size + 1) if size < 2 and most >= border * (1 - angle) else (size,):
+        for of in (size, size + 1) if size < 3 and most >= border * (1 - angle) else (size,):
             edges = voxel * np.array([2**of, 2**of, 8])
             cells.append((row, of, *np.floor(points[row].astype(np.float64) / edges)))
     found = np.array(cells).reshape(-1, 5)
