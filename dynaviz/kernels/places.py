@@ -292,9 +292,10 @@ def follow(firsts, at, columns, width, dynamic, back):
 
     It continues the last dynamic objects of its columns if it covers more than half of each, and they, together, at
     least half of it and more than half of those of its columns that any object visited before; or as a part of one,
-    which covers more than half of it, in columns that dynamic objects visited before any other. In both cases, the
-    columns of those on the way to it that are dynamic by themselves, less those of the others, must once have been as
-    many as its own: a fragment tells nothing about what it merges into, nor errors of single scans about what stands.
+    which covers more than half of it, in columns to which a track came before anything else. Where a track begins,
+    something else may have been. In both cases, the columns of those on the way to it that are dynamic by themselves,
+    less those of the others, must once have been as many as its own: a fragment tells nothing about what it merges
+    into, nor errors of single scans about what stands.
 
     Args:
         firsts: (F + 1,) int64: the first object of each scan.
@@ -303,7 +304,7 @@ def follow(firsts, at, columns, width, dynamic, back):
         back: backwards in time.
     """
     scans, shared, last = len(firsts) - 1, np.zeros(len(dynamic), np.int64), np.full(width, -1)
-    visited, free = np.zeros(width, np.bool_), np.zeros(width, np.bool_)
+    visited, free, came = np.zeros(width, np.bool_), np.zeros(width, np.bool_), np.zeros(len(dynamic), np.bool_)
     run = np.where(dynamic, np.diff(at), -np.diff(at))  # by object: columns of its track that are dynamic, less others
     shown = np.maximum(run, 0)  # the most that these ever were
     for step in range(scans):
@@ -322,7 +323,7 @@ def follow(firsts, at, columns, width, dynamic, back):
                 if covers or within:
                     most, before = max(most, shown[other]), max(before, run[other])
             if (2 * covered > known and 2 * covered >= size) or 2 * part > size:
-                run[of] = max(run[of] + before, 0)
+                came[of], run[of] = True, max(run[of] + before, 0)
                 shown[of] = max(most, run[of])
                 dynamic[of] |= shown[of] >= size
             for c in its:
@@ -330,7 +331,7 @@ def follow(firsts, at, columns, width, dynamic, back):
                     shared[last[c]] = 0
         for of in range(firsts[t], firsts[t + 1]):
             for c in columns[at[of] : at[of + 1]]:
-                free[c] |= dynamic[of] and not visited[c]
+                free[c] |= dynamic[of] and came[of] and not visited[c]
                 visited[c] = True
                 if dynamic[of]:
                     last[c] = of

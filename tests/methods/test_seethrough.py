@@ -366,13 +366,13 @@ def test_a_hit_guards_the_voxels_around_it_in_its_scan_and_in_the_next_one() -> 
 def test_objects_continue_those_with_which_they_share_most(
     back: bool, second: list[int], third: list[int], dynamic: tuple[bool, bool]
 ) -> None:
-    """A dynamic object is in the columns 0 to 2 in the first scan; a static one far away in all."""
-    scans = [[0, 1, 2], second, third]
+    """A dynamic object moves to the columns 0 to 2 in the second scan; a static one is far away in all."""
+    scans = [[1, 2, 3], [0, 1, 2], second, third]
     objects = [each for scan in (scans[::-1] if back else scans) for each in (scan, [9])]
-    at, found = np.cumsum([0, *map(len, objects)]), np.zeros(6, np.bool_)
-    found[4 if back else 0] = True
-    kernels.places.follow(np.array([0, 2, 4, 6]), at, np.concatenate(objects), 10, found, back)
-    assert found[[4, 2, 0] if back else [0, 2, 4]].tolist() == [True, *dynamic]
+    at, found = np.cumsum([0, *map(len, objects)]), np.zeros(8, np.bool_)
+    found[6 if back else 0] = True
+    kernels.places.follow(np.array([0, 2, 4, 6, 8]), at, np.concatenate(objects), 10, found, back)
+    assert found[[6, 4, 2, 0] if back else [0, 2, 4, 6]].tolist() == [True, True, *dynamic]
     assert not found[1::2].any()
 
 
@@ -423,10 +423,13 @@ def test_an_object_that_comes_into_view_is_followed_where_nothing_was_before(
 
 
 @pytest.mark.plain
-def test_parts_of_a_dynamic_object_are_followed_where_nothing_static_was_before() -> None:
+@pytest.mark.parametrize("arrives", [True, False])
+def test_parts_of_a_dynamic_object_are_followed_where_its_track_came_before_anything_else(arrives: bool) -> None:
     """A car stops next to a post; later something in front hides its middle, and it is seen in two parts."""
-    scans = [[[0, 1]], [[0, 1, 2, 3, 4, 5]], [[0, 1], [3, 4]], [[3, 4]]]
-    assert followed(scans, [False, True, False, False, False]) == [False, True, False, True, True]
+    arrival = [[[0, 1], [5, 6, 7, 8]], [[0, 1], [3, 4, 5, 6, 7]]] if arrives else [[[0, 1]]]
+    scans = [*arrival, [[0, 1, 2, 3, 4, 5]], [[0, 1], [3, 4]], [[3, 4]]]
+    before = [False, True] * 2 if arrives else [False]
+    assert followed(scans, [*before, True, False, False, False]) == [*before, True, False, arrives, arrives]
 
 
 def test_points_too_high_for_movers_are_kept() -> None:
