@@ -291,8 +291,8 @@ def follow(firsts, at, columns, width, dynamic, back):
     """Follow dynamic objects through the scans: an object that continues a dynamic one is dynamic, too.
 
     It continues the last dynamic objects of its columns if it covers more than half of each, and they, together, at
-    least half of it and more than half of those of its columns that any object visited before; or as a part of one,
-    which covers more than half of it, in columns to which a track came before anything else. Where a track begins,
+    least half of it and more than half of those of its columns that any object had visited by then; or as a part of
+    one, which covers more than half of it, in columns to which a track came before anything else. Where a track begins,
     something else may have been. In both cases, the columns of those on the way to it that are dynamic by themselves,
     less those of the others, must once have been as many as its own: a fragment tells nothing about what it merges
     into, nor errors of single scans about what stands.
@@ -304,24 +304,29 @@ def follow(firsts, at, columns, width, dynamic, back):
         back: backwards in time.
     """
     scans, shared, last = len(firsts) - 1, np.zeros(len(dynamic), np.int64), np.full(width, -1)
-    visited, free, came = np.zeros(width, np.bool_), np.zeros(width, np.bool_), np.zeros(len(dynamic), np.bool_)
+    free, came = np.zeros(width, np.bool_), np.zeros(len(dynamic), np.bool_)
+    since, when = np.full(width, scans), np.empty(len(dynamic), np.int64)  # steps: the first of a column, of an object
     run = np.where(dynamic, np.diff(at), -np.diff(at))  # by object: columns of its track that are dynamic, less others
     shown = np.maximum(run, 0)  # the most that these ever were
     for step in range(scans):
         t = scans - 1 - step if back else step
         for of in range(firsts[t], firsts[t + 1]):
-            its, size = columns[at[of] : at[of + 1]], at[of + 1] - at[of]
+            its, size, when[of] = columns[at[of] : at[of + 1]], at[of + 1] - at[of], step
             for c in its:
                 if last[c] >= 0:
                     shared[last[c]] += 1
-            covered, part, known, most, before = 0, 0, 0, 0, 0
+            covered, part, known, seen, most, before = 0, 0, 0, -1, 0, 0
             for c in its:
                 other = last[c]
                 covers = other >= 0 and 2 * shared[other] > at[other + 1] - at[other]
                 within = other >= 0 and 2 * shared[other] > size and free[c]
-                covered, part, known = covered + covers, part + within, known + visited[c]
+                covered, part = covered + covers, part + within
                 if covers or within:
                     most, before = max(most, shown[other]), max(before, run[other])
+                if covers:
+                    seen = max(seen, when[other])
+            for c in its:
+                known += since[c] <= seen
             if (2 * covered > known and 2 * covered >= size) or 2 * part > size:
                 came[of], run[of] = True, max(run[of] + before, 0)
                 shown[of] = max(most, run[of])
@@ -331,8 +336,8 @@ def follow(firsts, at, columns, width, dynamic, back):
                     shared[last[c]] = 0
         for of in range(firsts[t], firsts[t + 1]):
             for c in columns[at[of] : at[of + 1]]:
-                free[c] |= dynamic[of] and came[of] and not visited[c]
-                visited[c] = True
+                free[c] |= dynamic[of] and came[of] and since[c] > step
+                since[c] = min(since[c], step)
                 if dynamic[of]:
                     last[c] = of
 

@@ -423,6 +423,12 @@ def test_an_object_that_comes_into_view_is_followed_where_nothing_was_before(
 
 
 @pytest.mark.plain
+def test_visits_of_an_object_whose_track_is_lost_for_a_scan_do_not_count_against_it() -> None:
+    """A parked car is half hidden, so that it continues nothing, and comes into view."""
+    assert followed([[[0, 1]], [[0, 1]], [[1, 2, 3]], [[0, 1, 2, 3]]], [True, True, False, False])[2:] == [False, True]
+
+
+@pytest.mark.plain
 @pytest.mark.parametrize("arrives", [True, False])
 def test_parts_of_a_dynamic_object_are_followed_where_its_track_came_before_anything_else(arrives: bool) -> None:
     """A car stops next to a post; later something in front hides its middle, and it is seen in two parts."""

@@ -15,7 +15,7 @@
     moved:      an object has moved if its outline, within guard / 2, is displaced by 2 guard to half its length in over
                 ``hit`` of 64 scans, nothing was at its new end before or at its old one since, and one is dynamic
     track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time or back: it covers
-                over half of the 0.8 m columns of each, they half of its and over half of those visited before; or one
+                over half of the 0.8 m columns of each, they half of its and over half of those visited by then; or one
                 covers over half of it, where its track came first; dynamic ones alone, less others, had as many columns
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
     point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
