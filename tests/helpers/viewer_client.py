@@ -27,6 +27,18 @@ def headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
         yield client
 
 
+def opened_at(client: ViewerClient, expected: tuple[str, int]) -> tuple[Any, Any]:
+    """The timeline of the recording in view, and the time on it; waits up to 30 s until they are as expected."""
+    end = time.monotonic() + 30
+    while True:
+        state = client.get_state()
+        (opened,) = [r for r in state.recordings if r.store_id == state.active_recording]
+        found = opened.current_timeline, opened.current_time
+        if found == expected or time.monotonic() > end:
+            return found
+        time.sleep(0.2)
+
+
 def problems(recording: Path, client: ViewerClient) -> dict[Any, Any]:
     """Show a recording; problems the viewer reports, by view, once all data have arrived."""
     push(recording, client)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.guessing_method import Guess, record_with_metrics
-from helpers.viewer_client import headless, problems
+from helpers.viewer_client import headless, opened_at, problems
 from helpers.worlds import InMemory, room
 from rerun.chunk import RrdReader
 
@@ -160,9 +160,8 @@ def test_without_ground_truth_nothing_is_called_right(tmp_path: Path) -> None:
 def test_recordings_open_at_the_first_case(recorded: RunRecording) -> None:
     with headless((1200, 800)) as client:
         shown = problems(recorded.path, client)
-        state = client.get_state()
-        (opened,) = [r for r in state.recordings if r.store_id == state.active_recording]
-    assert (opened.current_timeline, opened.current_time) == (paths.CASE, 1)
+        opened = opened_at(client, (paths.CASE, 1))
+    assert opened == (paths.CASE, 1)
     assert {"case", "frame", "what and why", "failures"} <= set(shown)
     assert {name: reports for name, reports in shown.items() if reports} == {}
     assert set(shown) >= {state.name for state in Guess.info.emits if state.name not in ("remark", "count")}
