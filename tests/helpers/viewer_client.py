@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,23 +28,30 @@ def headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
 
 
 def opened_at(client: ViewerClient, expected: tuple[str, int]) -> tuple[Any, Any]:
-    """The timeline of the recording in view, and the time on it; waits up to 30 s until they are as expected."""
-    end = time.monotonic() + 30
-    while True:
+    """The timeline of the recording in view, and the time on it; waits until they are as expected."""
+
+    def opened() -> tuple[Any, Any]:
         state = client.get_state()
-        (opened,) = [r for r in state.recordings if r.store_id == state.active_recording]
-        found = opened.current_timeline, opened.current_time
-        if found == expected or time.monotonic() > end:
-            return found
-        time.sleep(0.2)
+        (active,) = [r for r in state.recordings if r.store_id == state.active_recording]
+        return active.current_timeline, active.current_time
+
+    return _awaited(opened, lambda found: found == expected)
 
 
 def problems(recording: Path, client: ViewerClient) -> dict[Any, Any]:
     """Show a recording; problems the viewer reports, by view, once all data have arrived."""
     push(recording, client)
+    return _awaited(
+        lambda: {view.name: view.reports for view in client.get_state().views},
+        lambda shown: not any(shown.values()),
+    )
+
+
+def _awaited(read: Callable[[], Any], done: Callable[[Any], bool]) -> Any:
+    """What the viewer shows, read again and again until it is as it should be, or for 30 s."""
     end = time.monotonic() + 30
     while True:
-        shown = {view.name: view.reports for view in client.get_state().views}
-        if not any(shown.values()) or time.monotonic() > end:
-            return shown
+        found = read()
+        if done(found) or time.monotonic() > end:
+            return found
         time.sleep(0.2)
