@@ -103,9 +103,9 @@ def _cast() -> None:
     counts = [np.zeros((len(grid) + 1, VOXELS), np.uint16) for _ in range(3)]
     kernels.clearance.count(marks.blocks, marks.bits, near, *counts)
     at = kernels.as_readonly(scan.position[:2], np.float64)
-    objects, cells, wider = kernels.objects.cells_of(scan.points, chosen, at, 0.2, 0.05)
+    objects, cells, wider = kernels.clusters.cells_of(scan.points, chosen, at, 0.2, 0.05)
     order = np.argsort(cells)
-    kernels.objects.connect(objects, order, cells[order], wider)
+    kernels.clusters.connect(objects, order, cells[order], wider)
 
 
 def _score() -> None:

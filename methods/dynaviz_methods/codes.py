@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynaviz import kernels
-from dynaviz.arrays import U8, Bool
+from dynaviz.arrays import U8
 
 
 def pack_codes(codes: U8) -> U8:
@@ -19,9 +18,3 @@ def unpack_codes(packed: U8, n: int) -> U8:
     """The first ``n`` codes, (n,) uint8, that ``pack_codes`` packed."""
     codes: U8 = np.stack([packed & 15, packed >> 4], 1).ravel()[:n]
     return codes
-
-
-def any_of(codes: U8, chosen: Bool) -> Bool:
-    """(N,) bool: which codes, (N,) uint8, are chosen, (all codes,) bool; several times faster than an index."""
-    found: Bool = kernels.objects.look_up(codes, chosen)
-    return found

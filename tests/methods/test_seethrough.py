@@ -525,9 +525,9 @@ def test_few_origins_cast_the_same_rays_as_many() -> None:
 
 
 def joined(points: np.ndarray, chosen: np.ndarray, sensor: np.ndarray, voxel: float, angle: float) -> np.ndarray:
-    objects, keys, wider = kernels.objects.cells_of(points, chosen, sensor, voxel, angle)
+    objects, keys, wider = kernels.clusters.cells_of(points, chosen, sensor, voxel, angle)
     order = np.argsort(keys)
-    count = kernels.objects.connect(objects, order, keys[order], wider)
+    count = kernels.clusters.connect(objects, order, keys[order], wider)
     assert (objects[~chosen] == -1).all()
     assert set(objects[chosen]) == set(range(count))
     return objects

@@ -45,7 +45,7 @@ from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.scan_ground import EXACT, ScanGround
-from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
+from dynaviz_methods.codes import pack_codes, unpack_codes
 from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
 from dynaviz_methods.seethrough.history import Decision, History
@@ -202,9 +202,9 @@ class SeeThrough:
         kernels.clearance.count(marks.blocks, marks.bits, near, *self._counts)
         chosen = (measured.voxels >= 0) & (measured.bands == ABOVE)
         at = kernels.as_readonly(scan.position[:2], np.float64)
-        objects, cells, wider = kernels.objects.cells_of(measured.scan.points, chosen, at, p.resolution, self._angle)
+        objects, cells, wider = kernels.clusters.cells_of(measured.scan.points, chosen, at, p.resolution, self._angle)
         order = np.argsort(cells)
-        count = kernels.objects.connect(objects, order, cells[order], wider)  # turns cells into objects
+        count = kernels.clusters.connect(objects, order, cells[order], wider)  # turns cells into objects
         self._history.add(now, measured.scan.points, measured.voxels, objects, count)
         self._show(measured, marks, near)
 
@@ -222,7 +222,7 @@ class SeeThrough:
             decision = self._decision(online=number + 1 == self._observed)
             self._reasons[scan.index] = pack_codes(self._outcomes(measured, decision))
         reasons = unpack_codes(self._reasons[scan.index], len(scan))
-        return Labels(any_of(reasons, REMOVED), reasons)
+        return Labels(REMOVED.take(reasons), reasons)
 
     def forget(self, index: int) -> None:
         """Drop what is stored about a scan."""
@@ -286,7 +286,7 @@ class SeeThrough:
 
     def _under(self, measured: Measured, reasons: U8) -> Bool:
         """(N,) bool: low points under, or in a column of voxels next to, dynamic points that are not low."""
-        chosen, low = any_of(reasons, REMOVED) & (reasons != FOOT), (reasons == LOW) | (reasons == FOOT)
+        chosen, low = REMOVED.take(reasons) & (reasons != FOOT), (reasons == LOW) | (reasons == FOOT)
         under: Bool = kernels.squares.in_or_next_to(measured.scan.points, chosen, low, self.params.resolution)
         return under
 
