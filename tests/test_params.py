@@ -61,6 +61,13 @@ def test_an_invalid_setting_says_what_to_do(setting: str, expected: str) -> None
         params.resolve(METHOD, settings=[setting])
 
 
+def test_the_first_parameter_that_does_not_fit_is_named_with_what_fits() -> None:
+    toy = SimpleNamespace(near=0.5, far=-1.0, depth=float("nan"))
+    params.require(toy, "near", lambda metres: metres > 0, "metres above 0")
+    with pytest.raises(ValueError, match=r"^far = -1\.0: give metres above 0$"):
+        params.require(toy, "near far depth", lambda metres: metres > 0, "metres above 0")
+
+
 def test_unknown_preset_names_the_known_ones(presets: None) -> None:
     with pytest.raises(UsageError, match="Did you mean 'city'"):
         params.resolve(METHOD, "citty")

@@ -7,7 +7,7 @@ import inspect
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -76,6 +76,23 @@ def resolve(
     except ValueError as error:
         raise UsageError(f"{name}: {error}") from None
     return Resolved(params, source, run.get("online"), run.get("seed"))
+
+
+def require(params: Any, names: str, fits: Callable[[Any], Any], what: str) -> None:
+    """Check parameters when they are made, as ``__post_init__`` does: ``require(self, "a b", lambda x: x > 0, "...")``.
+
+    Args:
+        params: the parameters of a method.
+        names: those that are checked, separated by spaces.
+        fits: whether a value is valid.
+        what: the valid values in words, such as ``metres above 0``; also shown where parameters are described.
+
+    Raises:
+        ValueError: for the first one whose value is not valid.
+    """
+    for name in names.split():
+        if not fits(value := getattr(params, name)):
+            raise ValueError(f"{name} = {value}: give {what}")
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ from dynaviz.arrays import F32, F64, I32, I64
 from dynaviz.blocks.window import Window
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term
 from dynaviz.contracts.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import Mask, Scalar, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz_methods.column_map import GAP, REACH, SLICES, Cloud, ColumnMap, Placed
@@ -65,11 +66,9 @@ class BeautyMapParams:
     h_res: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("dis_range", "xy_resolution", "h_res"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
-        if not 2 <= self.dis_range / self.xy_resolution <= 4096:
-            raise ValueError(f"dis_range = {self.dis_range}: give 2 to 4096 times xy_resolution = {self.xy_resolution}")
+        cell = self.xy_resolution
+        require(self, "dis_range xy_resolution h_res", lambda metres: 0 < metres < math.inf, "metres above 0")
+        require(self, "dis_range", lambda far: 2 <= far / cell <= 4096, f"2 to 4096 times xy_resolution = {cell}")
 
 
 UNJUDGED, NEVER_NEAR, ALWAYS_SEEN, FINE_GROUND, SLICE_GONE, ABOVE_GROUND = 0, 1, 2, 10, 11, 12

@@ -29,6 +29,7 @@ from dynaviz.arrays import I64, Bool
 from dynaviz.blocks.blocks import VOXELS, read, voxels_of
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz_methods.lookups import around, marked
@@ -54,17 +55,12 @@ class DufoMapParams:
     max_range: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.resolution < float("inf"):
-            raise ValueError(f"resolution = {self.resolution}: give a number above 0")
-        for name in ("hit_margin", "min_range"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise ValueError(f"{name} = {getattr(self, name)}: give a number of at least 0")
-        if not 0 <= self.unknown_margin <= 100:
-            raise ValueError(f"unknown_margin = {self.unknown_margin}: give a number of voxels from 0 to 100")
-        if not (self.max_range == 0 or self.min_range < self.max_range < float("inf")):
-            raise ValueError(
-                f"max_range = {self.max_range}: give a number above min_range, {self.min_range}, or 0 for no limit"
-            )
+        near = self.min_range
+        require(self, "resolution", lambda edge: 0 < edge < np.inf, "metres above 0")
+        require(self, "hit_margin min_range", lambda metres: 0 <= metres < np.inf, "metres of at least 0")
+        require(self, "unknown_margin", lambda voxels: 0 <= voxels <= 100, "a number of voxels from 0 to 100")
+        what = f"metres above min_range, {near}, or 0 for no limit"
+        require(self, "max_range", lambda far: far == 0 or near < far < np.inf, what)
 
 
 VOID_SEEN, BESIDE_UNKNOWN, NEVER_CROSSED, OUT_OF_RANGE, OUT_OF_REACH = range(5)

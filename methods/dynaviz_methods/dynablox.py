@@ -33,6 +33,7 @@ from dynaviz.arrays import I64, U8, Bool, Intp
 from dynaviz.blocks.blocks import read
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
@@ -88,22 +89,18 @@ class DynabloxParams:
     clusters: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("resolution", "truncation", "occupied_distance", "cluster_distance"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
-        if self.cluster_distance < self.resolution / 32:  # the keys of its cells have five bits more than voxel keys
-            least = f"{self.resolution / 32:g} m, a 32nd of resolution"
-            raise ValueError(f"cluster_distance = {self.cluster_distance}: give at least {least}")
-        for name in ("min_range", "max_range", "field_of_view", "image_rows", "temporal_buffer", "burn_in"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a number of at least 0")
-        for name in ("image_columns", "revoke_after", "max_weight", "min_cluster"):
-            if not 1 <= getattr(self, name) <= 65534:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a number from 1 to 65534")
-        if self.max_range and not self.min_range < self.max_range:
-            raise ValueError(f"max_range = {self.max_range}: give more than min_range = {self.min_range}, or 0 for all")
-        if self.image_rows * self.image_columns > 1 << 24:
-            raise ValueError(f"image_rows = {self.image_rows}: give fewer rows or columns, at most 2^24 pixels in all")
+        lengths, numbers = "resolution truncation occupied_distance cluster_distance", "image_columns revoke_after"
+        require(self, lengths, lambda metres: 0 < metres < np.inf, "metres above 0")
+        least = self.resolution / 32  # the keys of its cells have five bits more than voxel keys
+        what = f"at least {least:g} m, a 32nd of resolution"
+        require(self, "cluster_distance", lambda metres: metres >= least, what)
+        others = "min_range max_range field_of_view image_rows temporal_buffer burn_in"
+        require(self, others, lambda value: 0 <= value < np.inf, "a number of at least 0")
+        require(self, f"{numbers} max_weight min_cluster", lambda n: 1 <= n <= 65534, "a number from 1 to 65534")
+        what = f"more than min_range = {self.min_range}, or 0 for all"
+        require(self, "max_range", lambda far: not far or self.min_range < far, what)
+        what = "fewer rows or columns, at most 2^24 pixels in all"
+        require(self, "image_rows", lambda rows: rows * self.image_columns <= 1 << 24, what)
         if self.image_rows == 1 or self.field_of_view >= 180:
             raise ValueError(
                 f"image_rows = {self.image_rows}, field_of_view = {self.field_of_view}: give at least two rows and "
@@ -119,8 +116,8 @@ class DynabloxParams:
                 f"temporal_buffer = {self.temporal_buffer}: give at most burn_in = {self.burn_in}; otherwise a voxel "
                 "can become free in the middle of consecutive occupancy"
             )
-        if self.max_cluster < self.min_cluster:
-            raise ValueError(f"max_cluster = {self.max_cluster}: give at least min_cluster = {self.min_cluster}")
+        what = f"at least min_cluster = {self.min_cluster}"
+        require(self, "max_cluster", lambda points: points >= self.min_cluster, what)
 
 
 NEVER_FREE, FREE, FREE_SMALL, FREE_LARGE, BESIDE, REVOKED, OUT_OF_RANGE, OUT_OF_REACH = range(8)

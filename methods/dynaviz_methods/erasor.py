@@ -24,6 +24,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import Points, PolarGrid, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import UsageError
@@ -80,16 +81,13 @@ class ErasorParams:
     port: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("rings", "sectors", "min_points", "ground_iterations", "ground_lowest", "removal_interval"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: give at least 1")
-        for name in ("min_difference", "ground_distance", "ground_skip", "map_voxel", "query_voxel", "sensor_height"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} = {getattr(self, name)}: give at least 0")
-        if not self.max_range > 0:
-            raise ValueError(f"max_range = {self.max_range}: give metres above 0")
-        if not self.min_height < self.max_height:
-            raise ValueError(f"min_height = {self.min_height}: give less than max_height = {self.max_height}")
+        counts = "rings sectors min_points ground_iterations ground_lowest removal_interval"
+        require(self, counts, lambda count: count >= 1, "at least 1")
+        lengths = "min_difference ground_distance ground_skip map_voxel query_voxel sensor_height"
+        require(self, lengths, lambda value: value >= 0, "at least 0")
+        require(self, "max_range", lambda far: far > 0, "metres above 0")
+        high = self.max_height
+        require(self, "min_height", lambda low: low < high, f"less than max_height = {high}")
 
 
 # If several scans judge a voxel, the highest code counts. The codes from UNJUDGED on are assigned per point.

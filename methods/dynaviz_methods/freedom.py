@@ -32,6 +32,7 @@ from dynaviz.arrays import F64, I64, U8
 from dynaviz.blocks.blocks import read, voxels_of
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
@@ -91,24 +92,16 @@ class FreedomParams:
     port: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("sub_voxel", "max_height", "ray_range", "ray_max_height", "sky_range"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
-        for name in ("min_height", "ray_min_height"):
-            if not -np.inf < getattr(self, name) < 0:
-                raise ValueError(f"{name} = {getattr(self, name)}: give metres below 0")
-        if not 0 <= self.min_range < self.max_range < np.inf:
-            raise ValueError(f"max_range = {self.max_range}: give more metres than min_range, {self.min_range}")
-        for name in ("counts_to_free", "counts_to_revert"):
-            if not 1 <= getattr(self, name) < 1 << 31:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a number of scans of at least 1")
-        if not (self.image_rows == 0 or 2 <= self.image_rows <= 4096):
-            raise ValueError(f"image_rows = {self.image_rows}: give 2 to 4096 rows, or 0 for the sensor's")
-        if not -90 <= self.lowest <= self.highest <= 90:
-            raise ValueError(f"highest = {self.highest}: give degrees from lowest, {self.lowest}, to 90")
-        for name in ("inpaint", "erosion"):
-            if not (name == "erosion") + getattr(self, name) >= 1 or getattr(self, name) > 100:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a number of pixels up to 100")
+        near, low, lengths = self.min_range, self.lowest, "sub_voxel max_height ray_range ray_max_height sky_range"
+        require(self, lengths, lambda metres: 0 < metres < np.inf, "metres above 0")
+        require(self, "min_height ray_min_height", lambda metres: -np.inf < metres < 0, "metres below 0")
+        require(self, "max_range", lambda far: 0 <= near < far < np.inf, f"more metres than min_range, {near}")
+        counts = "counts_to_free counts_to_revert"
+        require(self, counts, lambda scans: 1 <= scans < 1 << 31, "a number of scans of at least 1")
+        require(self, "image_rows", lambda n: n == 0 or 2 <= n <= 4096, "2 to 4096 rows, or 0 for the sensor's")
+        require(self, "highest", lambda high: -90 <= low <= high <= 90, f"degrees from lowest, {low}, to 90")
+        require(self, "inpaint", lambda pixels: 1 <= pixels <= 100, "a number of pixels from 1 to 100")
+        require(self, "erosion", lambda pixels: 0 <= pixels <= 100, "a number of pixels from 0 to 100")
 
 
 (

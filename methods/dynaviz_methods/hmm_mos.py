@@ -35,6 +35,7 @@ from dynaviz.arrays import F64, I32, I64, U8, Bool
 from dynaviz.blocks.blocks import VOXELS
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import PointClasses, Scalar, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz_methods.belief_map import BeliefMap, Scores
@@ -74,23 +75,15 @@ class HmmMosParams:
     port: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 < self.resolution < np.inf:
-            raise ValueError(f"resolution = {self.resolution}: give metres above 0")
-        if not 0.5 <= self.belief < 1:
-            raise ValueError(f"belief = {self.belief}: give a probability from 0.5 to below 1")
-        if not (1 <= self.kernel <= 17 and self.kernel % 2):
-            raise ValueError(f"kernel = {self.kernel}: give an odd number of voxels from 1 to 17")
-        for name in ("window", "forget_after"):
-            if not 1 <= getattr(self, name) <= 65534:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a number of scans from 1 to 65534")
-        if not 0 <= self.min_score < 1 << 31:
-            raise ValueError(f"min_score = {self.min_score}: give a number of voxels of at least 0")
-        if not 0 <= self.min_range < np.inf:
-            raise ValueError(f"min_range = {self.min_range}: give metres of at least 0")
-        if not self.min_range < self.max_range < np.inf:
-            raise ValueError(f"max_range = {self.max_range}: give more metres than min_range = {self.min_range}")
-        if self.max_range / self.resolution > 20_000:
-            raise ValueError(f"max_range = {self.max_range}: give at most {20_000 * self.resolution:g}, 20000 voxels")
+        near, most = self.min_range, 20_000 * self.resolution
+        require(self, "resolution", lambda edge: 0 < edge < np.inf, "metres above 0")
+        require(self, "belief", lambda belief: 0.5 <= belief < 1, "a probability from 0.5 to below 1")
+        require(self, "kernel", lambda k: 1 <= k <= 17 and k % 2, "an odd number of voxels from 1 to 17")
+        require(self, "window forget_after", lambda scans: 1 <= scans <= 65534, "a number of scans from 1 to 65534")
+        require(self, "min_score", lambda voxels: 0 <= voxels < 1 << 31, "a number of voxels of at least 0")
+        require(self, "min_range", lambda metres: 0 <= metres < np.inf, "metres of at least 0")
+        require(self, "max_range", lambda far: near < far < np.inf, f"more metres than min_range = {near}")
+        require(self, "max_range", lambda far: far <= most, f"at most {most:g} metres, 20000 voxels")
 
 
 OUT_OF_RANGE, OUT_OF_REACH, WARM_UP, UNDECIDED, ABOVE, CARRIED, BESIDE, BELOW, UNKNOWN_AROUND, LONG, NO_CHANGE = range(

@@ -29,6 +29,7 @@ from dynaviz.arrays import U8, Bool
 from dynaviz.blocks.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Step, Term, voxels_around
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import Mask, Plane, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz_methods.filters import ground_plane, outliers
@@ -55,9 +56,8 @@ class OctoMapParams:
 
     def __post_init__(self) -> None:
         _positive(self, "resolution")
-        for name in ("prob_hit", "prob_miss", "clamp_min", "clamp_max"):
-            if not 0 < getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a probability above 0 and below 1")
+        what = "a probability above 0 and below 1"
+        require(self, "prob_hit prob_miss clamp_min clamp_max", lambda value: 0 < value < 1, what)
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class OctoMapGParams(OctoMapParams):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _positive(self, "ground_distance", "ground_angle")
+        _positive(self, "ground_distance ground_angle")
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,8 @@ def logit(probability: float) -> float:
     return math.log(probability / (1 - probability))
 
 
-def _positive(params: OctoMapParams, *names: str) -> None:
-    for name in names:
-        if not 0 < getattr(params, name) < math.inf:
-            raise ValueError(f"{name} = {getattr(params, name)}: give a number above 0")
+def _positive(params: OctoMapParams, names: str) -> None:
+    require(params, names, lambda value: 0 < value < math.inf, "a number above 0")
 
 
 HIT, CROSSED, NEVER_CROSSED, OUT_OF_REACH, GROUND, NOISE = range(6)

@@ -29,6 +29,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import Points, RangeImage, State
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import UsageError
@@ -84,11 +85,9 @@ class RemovertParams:
                 f"resolutions = {every}: give one to eight numbers above 0 and at most {FINEST:g}, "
                 "including revert_resolutions"
             )
-        if not 0 < self.threshold < 1:
-            raise ValueError(f"threshold = {self.threshold}: give a fraction between 0 and 1")
-        for name in ("voxel", "scan_neighbours", "scan_difference"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: give 0 or a positive number")
+        require(self, "threshold", lambda share: 0 < share < 1, "a fraction between 0 and 1")
+        others = "voxel scan_neighbours scan_difference"
+        require(self, others, lambda value: 0 <= value < np.inf, "0 or a positive number")
         for name, limit in (("elevation", 90), ("azimuth", 180)):
             span = getattr(self, name)
             if span and not (len(span) == 2 and -limit <= span[0] < span[1] <= limit):

@@ -41,6 +41,7 @@ from dynaviz.blocks.blocks import VOXELS, Marks, voxels_of
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.extent import CELL
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
@@ -88,21 +89,14 @@ class SeeThroughParams:
     join_angle: float = 0.7
 
     def __post_init__(self) -> None:
-        if not 0 < self.resolution < np.inf:
-            raise ValueError(f"resolution = {self.resolution}: give metres above 0")
-        if not 0 <= self.join_angle < 90:
-            raise ValueError(f"join_angle = {self.join_angle}: give degrees from 0 to less than 90")
-        if not 0 <= self.guard <= 7 * self.resolution * 1.001:
-            raise ValueError(f"guard = {self.guard}: give metres from 0 to 7 voxels of {self.resolution} m")
-        if not 1 <= self.votes <= 65535:
-            raise ValueError(f"votes = {self.votes}: give a number of scans from 1 to 65535")
-        for name in ("near", "hit", "inherit"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: give a weight of at least 0")
-        if not 0 <= self.prior < 1:
-            raise ValueError(f"prior = {self.prior}: give evidence from 0 to less than 1")
-        if not np.isfinite(self.ground_height):
-            raise ValueError(f"ground_height = {self.ground_height}: give metres")
+        most = 7 * self.resolution
+        require(self, "resolution", lambda edge: 0 < edge < np.inf, "metres above 0")
+        require(self, "join_angle", lambda angle: 0 <= angle < 90, "degrees from 0 to less than 90")
+        require(self, "guard", lambda guard: 0 <= guard <= most * 1.001, f"metres from 0 to 7 voxels, {most:g} m")
+        require(self, "votes", lambda scans: 1 <= scans <= 65535, "a number of scans from 1 to 65535")
+        require(self, "near hit inherit", lambda weight: 0 <= weight < np.inf, "a weight of at least 0")
+        require(self, "prior", lambda evidence: 0 <= evidence < 1, "evidence from 0 to less than 1")
+        require(self, "ground_height", np.isfinite, "metres")
 
 
 NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED, FOOT, HIGH = range(8)
