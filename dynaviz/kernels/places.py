@@ -194,7 +194,7 @@ def reaches(points, objects, count):
 def _way(before, after, guard):
     """Along which of the ``WAYS`` an object is displaced, given how far it reaches: (8,) metres each; -1 if it is not.
 
-    By a translation of at least twice the guard, to half of it. If it is by more than half of its length: -2.
+    By a translation of at least twice the guard, to half of it.
     """
     x, y = (after[0] - before[0] - after[4] + before[4]) / 2, (after[1] - before[1] - after[5] + before[5]) / 2
     if x * x + y * y < 4 * guard * guard:  # most objects stand: to see this first saves a third of the time
@@ -206,8 +206,6 @@ def _way(before, after, guard):
             return -1
         if along > far:
             way, far = k, along
-    if far > (before[way] + before[(way + 4) % 8]) / 2:
-        return -2
     return way if far >= 2 * guard else -1
 
 
@@ -251,8 +249,7 @@ def moved(firsts, at, columns, width, reach, guard, steps, least, centres, rows,
     Each object continues the last one with which it shares most columns, if these are more than half of one of them. It
     is displaced from where an earlier one was, up to ``steps`` before it, if its outline is, if nothing was at its new
     end before and nothing at the old one since, and if one of these is dynamic; all for most places. An object has
-    moved if it is displaced from more than a share of the earlier ones, or of the later ones; those from which it is
-    displaced by more than half of its length do not count.
+    moved if it is displaced from more than a share of the earlier ones, or of the later ones.
 
     Args:
         firsts, at, columns, width: as in ``follow``.
@@ -273,8 +270,7 @@ def moved(firsts, at, columns, width, reach, guard, steps, least, centres, rows,
             if other < 0:
                 break
             way = _way(reach[other], reach[of], guard)
-            if way > -2:
-                compared[0, of], compared[1, other] = compared[0, of] + 1, compared[1, other] + 1
+            compared[0, of], compared[1, other] = compared[0, of] + 1, compared[1, other] + 1
             if way >= 0:
                 back, theirs = (way + 4) % 8, rows[begins[other] : begins[other + 1]]
                 new, one = _end(mine, way, reach[other, way], centres, came, when[other], *of_places)

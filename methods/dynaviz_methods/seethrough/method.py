@@ -12,8 +12,8 @@
     place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
                 of voxels that contained points of objects, and that another scan hit or crossed
     certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan, which weigh 1 + |k|
-    moved:      an object has moved if its outline, within guard / 2, is displaced by 2 guard to half its length in over
-                ``hit`` of 64 scans, nothing was at its new end before or at its old one since, and one is dynamic
+    moved:      an object has moved if its outline, within guard / 2, is displaced by at least 2 guard in over ``hit``
+                of 64 scans, nothing was at its new end before or at its old one since, and one is dynamic
     track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time or back: it covers
                 over half of the 0.8 m columns of each, they half of its and over half of those visited by then; or one
                 covers over half of it, where its track came first; dynamic ones alone, less others, had as many columns
