@@ -79,7 +79,7 @@ def resolve(
 
 
 def require(params: Any, names: str, fits: Callable[[Any], Any], what: str) -> None:
-    """Check parameters when they are made, as ``__post_init__`` does: ``require(self, "a b", lambda x: x > 0, "...")``.
+    """Check parameters, in ``__post_init__``: ``require(self, "near far", lambda x: x > 0, "metres above 0")``.
 
     Args:
         params: the parameters of a method.

@@ -14,7 +14,8 @@ _REACHED = 512  # the same, of the columns near points
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(key: np.int64, mask: int) -> np.int64:
-    return np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)) & mask
+    # The highest bits of the product depend on all of the key, x included.
+    return np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(40)) & mask
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -14,6 +14,7 @@ FIRST, LAST, FRAMES = 0, 1, 2  # columns of a cell
 def _slot(keys, key):
     """The slot of a key in a table whose size is a power of two, or the free slot for it."""
     mask = len(keys) - 1
+    # The highest bits of the product depend on all of the key, x included.
     s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(40)) & mask
     while keys[s] >= 0 and keys[s] != key:
         s = (s + 1) & mask

@@ -89,14 +89,15 @@ class DynabloxParams:
     clusters: bool = False
 
     def __post_init__(self) -> None:
-        lengths, numbers = "resolution truncation occupied_distance cluster_distance", "image_columns revoke_after"
+        lengths = "resolution truncation occupied_distance cluster_distance"
         require(self, lengths, lambda metres: 0 < metres < np.inf, "metres above 0")
         least = self.resolution / 32  # the keys of its cells have five bits more than voxel keys
         what = f"at least {least:g} m, a 32nd of resolution"
         require(self, "cluster_distance", lambda metres: metres >= least, what)
         others = "min_range max_range field_of_view image_rows temporal_buffer burn_in"
         require(self, others, lambda value: 0 <= value < np.inf, "a number of at least 0")
-        require(self, f"{numbers} max_weight min_cluster", lambda n: 1 <= n <= 65534, "a number from 1 to 65534")
+        counts = "image_columns revoke_after max_weight min_cluster"
+        require(self, counts, lambda count: 1 <= count <= 65534, "a number from 1 to 65534")
         what = f"more than min_range = {self.min_range}, or 0 for all"
         require(self, "max_range", lambda far: not far or self.min_range < far, what)
         what = "fewer rows or columns, at most 2^24 pixels in all"

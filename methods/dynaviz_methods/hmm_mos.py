@@ -75,15 +75,16 @@ class HmmMosParams:
     port: bool = False
 
     def __post_init__(self) -> None:
-        near, most = self.min_range, 20_000 * self.resolution
+        near, voxels = self.min_range, 20_000
         require(self, "resolution", lambda edge: 0 < edge < np.inf, "metres above 0")
         require(self, "belief", lambda belief: 0.5 <= belief < 1, "a probability from 0.5 to below 1")
         require(self, "kernel", lambda k: 1 <= k <= 17 and k % 2, "an odd number of voxels from 1 to 17")
         require(self, "window forget_after", lambda scans: 1 <= scans <= 65534, "a number of scans from 1 to 65534")
-        require(self, "min_score", lambda voxels: 0 <= voxels < 1 << 31, "a number of voxels of at least 0")
+        require(self, "min_score", lambda score: 0 <= score < 1 << 31, "a number of voxels of at least 0")
         require(self, "min_range", lambda metres: 0 <= metres < np.inf, "metres of at least 0")
         require(self, "max_range", lambda far: near < far < np.inf, f"more metres than min_range = {near}")
-        require(self, "max_range", lambda far: far <= most, f"at most {most:g} metres, 20000 voxels")
+        what = f"at most {voxels * self.resolution:g} metres, {voxels} voxels"
+        require(self, "max_range", lambda far: far / self.resolution <= voxels, what)
 
 
 OUT_OF_RANGE, OUT_OF_REACH, WARM_UP, UNDECIDED, ABOVE, CARRIED, BESIDE, BELOW, UNKNOWN_AROUND, LONG, NO_CHANGE = range(
