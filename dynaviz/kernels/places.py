@@ -289,9 +289,10 @@ def follow(firsts, at, columns, width, dynamic, back):
     It continues the last dynamic objects of its columns if it covers more than half of each, and they, together, at
     least half of it and more than half of those of its columns that any object had visited by then; or as a part of
     one, which covers more than half of it, in columns to which a track came before anything else. Where a track begins,
-    something else may have been. In both cases, the columns of those on the way to it that are dynamic by themselves,
-    less those of the others, must once have been as many as its own: a fragment tells nothing about what it merges
-    into, nor errors of single scans about what stands.
+    something else may have been. A column does not count for a dynamic object if one that is not dynamic, nor larger,
+    was there in the same scan: what is there afterwards may be the other one. In both cases, the columns of those on
+    the way to it that are dynamic by themselves, less those of the others, must once have been as many as its own: a
+    fragment tells nothing about what it merges into, nor errors of single scans about what stands.
 
     Args:
         firsts: (F + 1,) int64: the first object of each scan.
@@ -304,6 +305,8 @@ def follow(firsts, at, columns, width, dynamic, back):
     since, when = np.full(width, scans), np.empty(len(dynamic), np.int64)  # steps: the first of a column, of an object
     run = np.where(dynamic, np.diff(at), -np.diff(at))  # by object: columns of its track that are dynamic, less others
     shown = np.maximum(run, 0)  # the most that these ever were
+    static, rank = np.zeros(width, np.int64), np.empty(len(dynamic), np.int64)  # later and smaller objects rank higher;
+    # by column: the highest rank of its objects that are not dynamic
     for step in range(scans):
         t = scans - 1 - step if back else step
         for of in range(firsts[t], firsts[t + 1]):
@@ -331,10 +334,15 @@ def follow(firsts, at, columns, width, dynamic, back):
                 if last[c] >= 0:
                     shared[last[c]] = 0
         for of in range(firsts[t], firsts[t + 1]):
+            rank[of] = (step + 1) * (width + 1) - (at[of + 1] - at[of])
             for c in columns[at[of] : at[of + 1]]:
                 free[c] |= dynamic[of] and came[of] and since[c] > step
                 since[c] = min(since[c], step)
-                if dynamic[of]:
+                if not dynamic[of]:
+                    static[c] = max(static[c], rank[of])
+        for of in range(firsts[t], firsts[t + 1]):
+            for c in columns[at[of] : at[of + 1]]:
+                if dynamic[of] and rank[of] > static[c]:
                     last[c] = of
 
 

@@ -423,6 +423,14 @@ def test_an_object_that_comes_into_view_is_followed_where_nothing_was_before(
 
 
 @pytest.mark.plain
+@pytest.mark.parametrize(("beside", "dynamic"), [([0], False), ([0, 3], False), ([0, 3, 4], True)])
+def test_columns_in_which_a_static_object_no_larger_stands_carry_no_track(beside: list[int], dynamic: bool) -> None:
+    """What passes a post, such as dust around it, may be gone in the next scan; a wall is not taken for it."""
+    scans = [[[0, 1], beside], [[0, 1], beside]]
+    assert followed(scans, [True, False, False, False]) == [True, False, dynamic, False]
+
+
+@pytest.mark.plain
 def test_visits_of_an_object_whose_track_is_lost_for_a_scan_do_not_count_against_it() -> None:
     """A parked car is half hidden, so that it continues nothing, and comes into view."""
     assert followed([[[0, 1]], [[0, 1]], [[1, 2, 3]], [[0, 1, 2, 3]]], [True, True, False, False])[2:] == [False, True]

@@ -15,8 +15,8 @@
     moved:      an object has moved if its outline, within guard / 2, is displaced by at least 2 guard in over ``hit``
                 of 64 scans, nothing was at its new end before or at its old one since, and one is dynamic
     track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time or back: it covers
-                over half of the 0.8 m columns of each, they half of its and over half of those visited by then; or one
-                covers over half of it, where its track came first; dynamic ones alone, less others, had as many columns
+                most 0.8 m columns of each (none with a static one as small), they half of its, most visited by then; or
+                one covers most of it, where its track came first; dynamic ones alone, less others, had as many columns
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
     point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
     foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its voxel
