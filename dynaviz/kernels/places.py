@@ -305,8 +305,7 @@ def follow(firsts, at, columns, width, dynamic, back):
     since, when = np.full(width, scans), np.empty(len(dynamic), np.int64)  # steps: the first of a column, of an object
     run = np.where(dynamic, np.diff(at), -np.diff(at))  # by object: columns of its track that are dynamic, less others
     shown = np.maximum(run, 0)  # the most that these ever were
-    static, rank = np.zeros(width, np.int64), np.empty(len(dynamic), np.int64)  # later and smaller objects rank higher;
-    # by column: the highest rank of its objects that are not dynamic
+    smallest = np.empty(width, np.int64)  # by column: columns of the smallest object of the scan that is not dynamic
     for step in range(scans):
         t = scans - 1 - step if back else step
         for of in range(firsts[t], firsts[t + 1]):
@@ -333,16 +332,16 @@ def follow(firsts, at, columns, width, dynamic, back):
             for c in its:
                 if last[c] >= 0:
                     shared[last[c]] = 0
+        smallest[:] = width + 1
         for of in range(firsts[t], firsts[t + 1]):
-            rank[of] = (step + 1) * (width + 1) - (at[of + 1] - at[of])
             for c in columns[at[of] : at[of + 1]]:
                 free[c] |= dynamic[of] and came[of] and since[c] > step
                 since[c] = min(since[c], step)
                 if not dynamic[of]:
-                    static[c] = max(static[c], rank[of])
+                    smallest[c] = min(smallest[c], at[of + 1] - at[of])
         for of in range(firsts[t], firsts[t + 1]):
             for c in columns[at[of] : at[of + 1]]:
-                if dynamic[of] and rank[of] > static[c]:
+                if dynamic[of] and smallest[c] > at[of + 1] - at[of]:
                     last[c] = of
 
 
