@@ -1,13 +1,14 @@
 """Cost of every method and step as the work increases: ``python benchmarks [--quick]``.
 
-    python benchmarks --quick                    small sizes, about ten minutes; --only STEP... for some steps
-    python benchmarks -o FOLDER                  30 to 240 thousand points per frame, 100 to 5,000 frames; takes hours
-    python benchmarks --draw FOLDER/costs.json   draw curves and table of an earlier run again
+    python benchmarks --quick                    small sizes, about ten minutes; --only STEP... for
+    some steps python benchmarks -o FOLDER                  30 to 240 thousand points per frame, 100
+    to 5,000 frames; takes hours python benchmarks --draw FOLDER/costs.json   draw curves and table
+    of an earlier run again
 
-Each step runs in its own process on one thread, and processor seconds are measured, so other programs have little
-effect. Methods on short drives run twice, and the better round is used. Every cost is a ratio to the plain walk along
-the rays of the same scans (``plain.py``), so a flat curve means that a step grows linearly with its work. Exponents
-above 1.15 are printed in bold.
+Each step runs in its own process on one thread, and processor seconds are measured, so other
+programs have little effect. Methods on short drives run twice, and the better round is used. Every
+cost is a ratio to the plain walk along the rays of the same scans (``plain.py``), so a flat curve
+means that a step grows linearly with its work. Exponents above 1.15 are printed in bold.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ FULL = ((30_000, 60_000, 120_000, 240_000), (100, 500, 2_000, 5_000))
 
 
 def steps() -> dict[str, tuple[str, ...]]:
-    """Arguments of ``costs.py`` for each step, in an order in which the files of earlier steps exist when needed."""
+    """Arguments of ``costs.py`` for each step, in an order in which the files of earlier steps
+    exist when needed.
+    """
     return {
         YARDSTICK: ("reference",),
         **{handle.name: ("method", handle.name) for handle in registry.handles("methods")},
@@ -41,11 +44,18 @@ def steps() -> dict[str, tuple[str, ...]]:
     }
 
 
-def measured(sizes: tuple[tuple[int, ...], tuple[int, ...]], only: list[str]) -> Iterator[dict[str, Any]]:
-    """Measure each step at each size: all numbers of points on the shortest drive, all drives with fewest points."""
+def measured(
+    sizes: tuple[tuple[int, ...], tuple[int, ...]], only: list[str]
+) -> Iterator[dict[str, Any]]:
+    """Measure each step at each size.
+
+    All numbers of points on the shortest drive, all drives with fewest points.
+    """
     points, frames = sizes
     work = [*((p, frames[0]) for p in points), *((points[0], f) for f in frames[1:])]
-    chosen = {name: step for name, step in steps().items() if not only or name in (YARDSTICK, *only)}
+    chosen = {
+        name: step for name, step in steps().items() if not only or name in (YARDSTICK, *only)
+    }
     with tempfile.TemporaryDirectory() as folder:
         for p, f in work:
             for name, words in chosen.items():
@@ -65,7 +75,9 @@ def run_step(*words: object) -> dict[str, float] | None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", nargs="+", default=[], metavar="STEP")
     parser.add_argument("--draw", type=Path, metavar="JSON")
@@ -81,7 +93,8 @@ def main() -> None:
                 rows.append(row)
                 print(json.dumps(row), file=file, flush=True)
                 print(f"{row['points']:>7} points {row['frames']:>5} frames  {row['step']:15} "
-                      f"{row['seconds'] / row['frames'] * 1e3:9.2f} ms per frame", flush=True)  # fmt: skip
+                      f"{row['seconds'] / row['frames'] * 1e3:9.2f} ms per "
+                      "frame", flush=True)  # fmt: skip
     out = arguments.draw.parent if arguments.draw else arguments.out
     text = table(rows)
     (out / "costs.md").write_text(text)

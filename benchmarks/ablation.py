@@ -27,7 +27,8 @@ from dynaviz_methods.seethrough import REMOVED, SeeThrough, SeeThroughParams, hi
 from dynaviz_methods.seethrough.method import FOOT
 
 CHOSEN = (
-    "hdl64_town", "hdl64_poor_poses", "hdl64_standing", "vlp32c_square", "vlp16_street", "vlp16_twenty", "vlp16_hall",
+    "hdl64_town", "hdl64_poor_poses", "hdl64_standing", "vlp32c_square", "vlp16_street",
+    "vlp16_twenty", "vlp16_hall",
     "mid360_hall",
 )  # fmt: skip
 PARTS = {  # constants to change, and reasons whose points are kept
@@ -63,14 +64,19 @@ def scores(
     for scan in scans:
         running.observe(scan.without_truth())
     removed = REMOVED & ~np.isin(np.arange(len(REMOVED)), kept)
-    answers = np.concatenate([removed[running.label(scan.without_truth()).reasons] for scan in scans])
+    answers = np.concatenate(
+        [removed[running.label(scan.without_truth()).reasons] for scan in scans]
+    )
     truth = np.concatenate([scan.labels for scan in scans])
-    return 100 * (~answers[truth == Label.STATIC]).mean(), 100 * answers[truth == Label.DYNAMIC].mean()
+    return 100 * (~answers[truth == Label.STATIC]).mean(), 100 * answers[
+        truth == Label.DYNAMIC
+    ].mean()
 
 
 def rows(scans: list[Scan], sensor: Sensor) -> dict[str, tuple[float, float]]:
     """Every variant on one scene."""
-    found, default = {}, SeeThroughParams()
+    found = {}
+    default = SeeThroughParams()
     for name, (constants, kept) in PARTS.items():
         with ExitStack() as stack:
             for path, value in constants.items():
@@ -92,11 +98,18 @@ def main(out: Path, names: list[str]) -> None:
         sequence = api.open(written if written.exists() else name)
         by_scene[name] = rows([sequence[k] for k in range(len(sequence))], sequence.sensor)
         print(name, flush=True)
-    lines = ["| variant | AA mean | " + " | ".join(by_scene) + " |", "|---|" + "---|" * (len(by_scene) + 1)]
+    lines = [
+        "| variant | AA mean | " + " | ".join(by_scene) + " |",
+        "|---|" + "---|" * (len(by_scene) + 1),
+    ]
     for variant in next(iter(by_scene.values())):
         pairs = [found[variant] for found in by_scene.values()]
         mean = np.mean([np.sqrt(sa * da) for sa, da in pairs])
-        lines.append(f"| {variant} | {mean:.1f} | " + " | ".join(f"{sa:.1f} / {da:.1f}" for sa, da in pairs) + " |")
+        lines.append(
+            f"| {variant} | {mean:.1f} | "
+            + " | ".join(f"{sa:.1f} / {da:.1f}" for sa, da in pairs)
+            + " |"
+        )
     (out / "ablation.md").write_text("\n".join(lines) + "\n")
     print("\n".join(lines))
 

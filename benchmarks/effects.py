@@ -1,8 +1,11 @@
-"""How each effect of the simulator changes the scores of every method: ``benchmarks/effects.py [OUT] [METHOD ...]``.
+"""How each effect of the simulator changes the scores of every method.
 
-A street of 20 frames, VLP-16, 8 m/s, is simulated with each effect alone, as large as in the ``*_real`` presets, and
-with all of them. Every method runs with its default parameters. Writes OUT/effects.json and OUT/effects.md, tables of
-SA and DA; finished runs are kept. About fifteen minutes on two cores.
+``benchmarks/effects.py [OUT] [METHOD ...]``.
+
+A street of 20 frames, VLP-16, 8 m/s, is simulated with each effect alone, as large as in the
+``*_real`` presets, and with all of them. Every method runs with its default parameters. Writes
+OUT/effects.json and OUT/effects.md, tables of SA and DA; finished runs are kept. About fifteen
+minutes on two cores.
 """
 
 from __future__ import annotations
@@ -25,7 +28,9 @@ from dynaviz.synthetic.simulate.presets import PRESETS, REAL
 from dynaviz.synthetic.simulate.sequence import SimulatedSequence
 from dynaviz.testing import InMemory
 
-FRAMES, SPEED, SEED = 20, 8.0, 3
+FRAMES = 20
+SPEED = 8.0
+SEED = 3
 
 _OPTICAL = {name: value for name, value in REAL.active.items() if name not in BEHAVIOUR}
 _ACTING = {name: getattr(REAL, name) for name in BEHAVIOUR}
@@ -70,7 +75,8 @@ def scene(name: str, changed: dict[str, Any]) -> InMemory:
     plain = PRESETS["demo"]
     preset = replace(plain, speed=SPEED, effects=replace(plain.effects, **changed))
     if "drift_m" in changed and "jitter_m" in changed:
-        preset = replace(preset, pose_noise=(0.0, 0.0))  # as in the presets: drift and jitter replace the slow errors
+        # as in the presets: drift and jitter replace the slow errors
+        preset = replace(preset, pose_noise=(0.0, 0.0))
     sequence = SimulatedSequence(Chosen(preset, FRAMES, SEED, name))
     return InMemory([sequence[k] for k in range(FRAMES)], name, sequence.sensor)
 
@@ -82,7 +88,9 @@ def run(method: str, sequence: InMemory) -> tuple[float, float]:
 
 
 def table(results: Mapping[str, Any]) -> str:
-    """Markdown: SA / DA of each method without effects, and the change of both by each effect, percent."""
+    """Markdown: SA / DA of each method without effects, and the change of both by each effect,
+    percent.
+    """
     base = results["none"]["scores"]
     lines = ["| effect | dynamic points | " + " | ".join(f"`{method}`" for method in base) + " |"]
     lines.append("|---|---|" + "---|" * len(base))
@@ -91,7 +99,9 @@ def table(results: Mapping[str, Any]) -> str:
         for method, (sa, da) in base.items():
             now = row["scores"].get(method, (np.nan, np.nan))
             cells.append(
-                f"{sa:.1f} / {da:.1f}" if name == "none" else f"{_change(now[0] - sa)} / {_change(now[1] - da)}"
+                f"{sa:.1f} / {da:.1f}"
+                if name == "none"
+                else f"{_change(now[0] - sa)} / {_change(now[1] - da)}"
             )
         lines.append(f"| {name} | {row['dynamic']:,} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -114,12 +124,19 @@ def main(out: Path, methods: list[str]) -> None:
         if missing:
             sequence = scene(name, changed)
             row["points"] = sum(len(scan) for scan in sequence.scans)
-            row["dynamic"] = sum(int((scan.labels == Label.DYNAMIC).sum()) for scan in sequence.scans)
+            row["dynamic"] = sum(
+                int((scan.labels == Label.DYNAMIC).sum()) for scan in sequence.scans
+            )
             row["scores"] |= {method: run(method, sequence) for method in missing}
             stored.write_text(json.dumps(results, indent=1))
             (out / "effects.md").write_text(table(results))
             print(
-                name, {method: tuple(round(v, 1) for v in score) for method, score in row["scores"].items()}, flush=True
+                name,
+                {
+                    method: tuple(round(v, 1) for v in score)
+                    for method, score in row["scores"].items()
+                },
+                flush=True,
             )
     print(table(results))
 

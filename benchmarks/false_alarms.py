@@ -2,9 +2,10 @@
 
     python benchmarks/false_alarms.py [--real FOLDER] [PART ...]
 
-Every preset of the simulator, as it is and with motion during the sweep, jitter and drift of the poses, at the start
-and in the middle of a drive; and the real sequences of a folder, if given. With PART, only sequences whose name
-contains it. Prints a table; the exit code is 1 if a finding is likely or certain.
+Every preset of the simulator, as it is and with motion during the sweep, jitter and drift of the
+poses, at the start and in the middle of a drive; and the real sequences of a folder, if given. With
+PART, only sequences whose name contains it. Prints a table; the exit code is 1 if a finding is
+likely or certain.
 """
 
 from __future__ import annotations
@@ -20,14 +21,20 @@ from dynaviz.contracts.scan import Sequence
 from dynaviz.diagnosis import Confidence, doctor
 from dynaviz.synthetic.simulate import PRESETS
 
-SWEEP, JITTER, DRIFT = "sweep_s=0.1", "jitter_m=0.03&jitter_deg=0.1", "drift_m=0.3&drift_deg=0.1"
+SWEEP = "sweep_s=0.1"
+JITTER = "jitter_m=0.03&jitter_deg=0.1"
+DRIFT = "drift_m=0.3&drift_deg=0.1"
 VARIANTS = {  # options, and the frames that are examined
     SWEEP: "0:12",
     f"{SWEEP}&{JITTER}": "14:26",
     f"{JITTER}&{DRIFT}": "30:42",
     f"{SWEEP}&{JITTER}&{DRIFT}": "38:50",
 }
-SEEDS = (f"demo?seed=2&{SWEEP}", f"street_hdl64?seed=3&{SWEEP}&{JITTER}", f"square_vlp32c?seed=4&{SWEEP}")
+SEEDS = (
+    f"demo?seed=2&{SWEEP}",
+    f"street_hdl64?seed=3&{SWEEP}&{JITTER}",
+    f"square_vlp32c?seed=4&{SWEEP}",
+)
 REAL = {  # formats by folder, relative to the given one
     "kitti_tracking/training/velodyne/0012": "0:20",
     "semantickitti/sequences/08": "0:20",
@@ -56,9 +63,17 @@ def sequences(real: Path | None, parts: list[str]) -> Iterator[tuple[str, Sequen
 
     for name, frames in simulated():
         if chosen(name):
-            stride = 2 if "street_hdl64" not in name else 1  # so that a slow sensor moves by a metre or more
+            # so that a slow sensor moves by a metre or more
+            stride = 2 if "street_hdl64" not in name else 1
             first, last = (int(end) for end in frames.split(":"))
-            yield name, dv.open(f"simulate:{name}", frames=f"{first}:{first + (last - first) * stride}", stride=stride)
+            yield (
+                name,
+                dv.open(
+                    f"simulate:{name}",
+                    frames=f"{first}:{first + (last - first) * stride}",
+                    stride=stride,
+                ),
+            )
     for name, frames in REAL.items() if real else ():
         if chosen(name) and real and (real / name).exists():
             yield name, dv.open(real / name, frames=frames)
@@ -66,14 +81,17 @@ def sequences(real: Path | None, parts: list[str]) -> Iterator[tuple[str, Sequen
 
 def main() -> int:
     """Print the findings of every sequence."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("parts", nargs="*", metavar="PART")
     parser.add_argument("--real", type=Path, metavar="FOLDER")
     options = parser.parse_args()
     alarms = total = 0
     print("| sequence | seconds | findings |\n|---|---|---|")
     for name, sequence in sequences(options.real, options.parts):
-        start, total = time.process_time(), total + 1
+        start = time.process_time()
+        total = total + 1
         findings = doctor(sequence).findings
         words = "; ".join(f"{f.name} ({f.confidence.name.lower()}): {f.problem}" for f in findings)
         print(f"| {name} | {time.process_time() - start:.1f} | {words or '-'} |", flush=True)

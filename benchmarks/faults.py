@@ -1,12 +1,14 @@
-"""Whether doctor and quick check name the faults of poses, frames and units alike, and whether their advice helps.
+"""Whether doctor and quick check name the faults of poses, frames and units alike, and whether
+their advice helps.
 
     python benchmarks/faults.py [PART ...]
 
-Two scenes of the simulator, a street as it is and a hall with motion during the sweep and jitter of the poses, are
-written as files with one fault each: every order of quaternions, inverted poses, axes of a camera, other units, and
-points in the other frame. Each fault is diagnosed by ``dynaviz doctor`` and by the quick check of ``clean`` and
-``run``; then the advice of the first finding is followed, and the sequence is diagnosed again. With PART, only faults
-whose name contains it. Prints a table, and how many faults are named, named alike, and without a finding at the end.
+Two scenes of the simulator, a street as it is and a hall with motion during the sweep and jitter of
+the poses, are written as files with one fault each: every order of quaternions, inverted poses,
+axes of a camera, other units, and points in the other frame. Each fault is diagnosed by ``dynaviz
+doctor`` and by the quick check of ``clean`` and ``run``; then the advice of the first finding is
+followed, and the sequence is diagnosed again. With PART, only faults whose name contains it. Prints
+a table, and how many faults are named, named alike, and without a finding at the end.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ AXES = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  #
 
 @dataclass(frozen=True)
 class Files:
-    """The files of a sequence: points in the frame that ``points_in`` states, and a pose for each scan.
+    """The files of a sequence.
+
+    Points in the frame that ``points_in`` states, and a pose for each scan.
 
     Attributes:
         points: (N, 3) float64 for each scan.
@@ -57,7 +61,9 @@ class Files:
 
     def scaled(self, points: float = 1.0, positions: float = 1.0) -> Files:
         """In other units."""
-        poses = [geometry.pose(T[:3, 3] * positions, geometry.quaternion(T[:3, :3])) for T in self.poses]
+        poses = [
+            geometry.pose(T[:3, 3] * positions, geometry.quaternion(T[:3, :3])) for T in self.poses
+        ]
         return replace(self, points=[xyz * points for xyz in self.points], poses=poses)
 
     def open(self, folder: Path) -> dv.Sequence:
@@ -85,7 +91,9 @@ def correct(scene: tuple[str, float], points_in: str) -> Files:
 
 def reordered(T: F64, order: tuple[int, ...]) -> F64:
     """The pose with its quaternion x y z w in another order."""
-    return geometry.pose(T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat()[list(order)][[3, 0, 1, 2]])
+    return geometry.pose(
+        T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat()[list(order)][[3, 0, 1, 2]]
+    )
 
 
 POSES: dict[str, tuple[str, Callable[[F64], F64]]] = {
@@ -94,7 +102,10 @@ POSES: dict[str, tuple[str, Callable[[F64], F64]]] = {
     "camera's axes": ("poses of a camera", lambda T: T @ AXES),
 }
 ORDERS = {
-    "quaternion " + " ".join("xyzw"[k] for k in order): ("quaternion order", partial(reordered, order=order))
+    "quaternion " + " ".join("xyzw"[k] for k in order): (
+        "quaternion order",
+        partial(reordered, order=order),
+    )
     for order in permutations(range(4))
     if order != (0, 1, 2, 3)
 }
@@ -106,7 +117,8 @@ def cases() -> Iterator[tuple[str, str, Files]]:
     """Name, expected finding and files of each fault."""
     for scene in (STREET, HALL):
         where = scene[0].split(":")[1].split("_")[0]
-        own, world = correct(scene, "sensor"), correct(scene, "world")
+        own = correct(scene, "sensor")
+        world = correct(scene, "world")
         for k, (name, (finding, change)) in enumerate(ORDERS.items()):
             if name == "quaternion y x z w":
                 continue  # hardly turns a sensor that turns about z
@@ -116,8 +128,16 @@ def cases() -> Iterator[tuple[str, str, Files]]:
             if name not in USUAL:
                 yield f"{where}: {name}", finding, own.posed(change)
             yield f"{where}: {name}, points in the world", finding, world.posed(change)
-        yield f"{where}: world points read as the sensor's", "points in world frame", replace(world, points_in="sensor")
-        yield f"{where}: sensor points read as the world's", "points in sensor frame", replace(own, points_in="world")
+        yield (
+            f"{where}: world points read as the sensor's",
+            "points in world frame",
+            replace(world, points_in="sensor"),
+        )
+        yield (
+            f"{where}: sensor points read as the world's",
+            "points in sensor frame",
+            replace(own, points_in="world"),
+        )
         for unit, factor in UNITS.items():
             yield f"{where}: points in {unit}", unit, own.scaled(points=factor)
             yield f"{where}: positions in {unit}", unit, own.scaled(positions=factor)
@@ -139,7 +159,9 @@ def followed(files: Files, finding: Finding) -> Files:
         return files.posed(partial(reordered, order=order))
     if found := re.search(r"divide (.*) by (\d+)", fix):
         factor = 1 / float(found[2])
-        return files.scaled(factor if "points" in found[1] else 1.0, factor if "positions" in found[1] else 1.0)
+        return files.scaled(
+            factor if "points" in found[1] else 1.0, factor if "positions" in found[1] else 1.0
+        )
     if found := re.search(r"R = (\[.*\]), write", fix):
         turn = np.eye(4)
         turn[:3, :3] = json.loads(found[1])
@@ -154,14 +176,18 @@ def followed(files: Files, finding: Finding) -> Files:
 
 def likely(sequence: dv.Sequence) -> list[Finding]:
     """The findings of the doctor on poses, frames and units that are certain or likely."""
-    return [finding for finding in doctor(sequence).of_poses if finding.confidence <= Confidence.LIKELY]
+    return [
+        finding for finding in doctor(sequence).of_poses if finding.confidence <= Confidence.LIKELY
+    ]
 
 
 def main() -> int:
     """Print a row for each fault."""
     parts = sys.argv[1:]
     rows = []
-    print("| fault | named | by the quick check | after following the advice | doctor s | quick s |")
+    print(
+        "| fault | named | by the quick check | after following the advice | doctor s | quick s |"
+    )
     print("|---|---|---|---|---|---|")
     for name, expected, files in cases():
         if parts and not any(part in name for part in parts):
@@ -175,12 +201,17 @@ def main() -> int:
             end = time.process_time()
             after = likely(followed(files, found[0]).open(Path(folder))) if found else []
         named = [each.name for each in found]
-        rows.append((named == [expected], named == quick and bool(named), bool(named) and not after))
+        rows.append(
+            (named == [expected], named == quick and bool(named), bool(named) and not after)
+        )
         left = ", ".join(each.name for each in after)
         words = f"{', '.join(named) or '-'} | {', '.join(quick) or '-'} | {left or '-'}"
         print(f"| {name} | {words} | {middle - start:.1f} | {end - middle:.1f} |", flush=True)
     right, alike, clean = (sum(column) for column in zip(*rows, strict=True))
-    print(f"\n{len(rows)} faults: {right} named rightly, {alike} alike by both, {clean} without a finding at the end")
+    print(
+        f"\n{len(rows)} faults: {right} named rightly, {alike} alike by both, {clean} without a "
+        "finding at the end"
+    )
     return int(min(right, alike, clean) < len(rows))
 
 

@@ -1,21 +1,26 @@
-"""Does the ranking of the methods by implants agree with the ranking by true labels? ``python benchmarks/implants.py``.
+"""Does the ranking of the methods by implants agree with the ranking by true labels? ``python
+benchmarks/implants.py``.
 
-    python benchmarks/implants.py [--frames N] [--stride N] [--seeds A,B] [--methods A,B | --grid] [-o OUT] [SEQUENCE]
+    python benchmarks/implants.py [--frames N] [--stride N] [--seeds A,B] [--methods A,B | --grid]
+    [-o OUT] [SEQUENCE]
 
-SEQUENCE is a path with ground truth, or ``simulate:PRESET[:SEED]``. Every registered method, or with ``--grid``
-DUFOMap and OctoMap with several parameters each, runs on the sequence, and on the sequence with implants for each
-seed. The implants are planned without the sequence's labels. Three scores are compared, by Spearman's rank correlation
-of SA, DA and AA (``benchmarks/agreement.py`` describes all figures):
+SEQUENCE is a path with ground truth, or ``simulate:PRESET[:SEED]``. Every registered method, or
+with ``--grid`` DUFOMap and OctoMap with several parameters each, runs on the sequence, and on the
+sequence with implants for each seed. The implants are planned without the sequence's labels. Three
+scores are compared, by Spearman's rank correlation of SA, DA and AA (``benchmarks/agreement.py``
+describes all figures):
 
 true      the sequence's own labels
 implants  DA of the implants alone, SA of the points labelled static; counts of all seeds are added
-panel     as above, but SA of the points that most methods of the default panel keep: needs no labels
+panel     as above, but SA of the points that most methods of the default panel keep: needs no
+labels
 
 DA is averaged in three ways, on both sides:
 
 points    each point counts once, as in the protocol: one large mover near the sensor decides
 movers    each mover counts once in each band of range (``BANDS``), with its share of removed points
-matched   as ``movers``, but the implants are weighted: for each true mover and band, those of its kind in this band
+matched   as ``movers``, but the implants are weighted: for each true mover and band, those of its
+kind in this band
 
 Finished runs are kept in OUT; delete the folder after changes of methods or implants.
 """
@@ -70,7 +75,9 @@ class Cached:
     @staticmethod
     def of(sequence: Sequence, name: str) -> Cached:
         """Read a sequence."""
-        return Cached(name, sequence.sensor, [sequence[k] for k in range(len(sequence))], sequence.has_labels)
+        return Cached(
+            name, sequence.sensor, [sequence[k] for k in range(len(sequence))], sequence.has_labels
+        )
 
     def blind(self) -> Cached:
         """The sequence without its ground truth."""
@@ -86,8 +93,8 @@ class Cached:
 class Count(Listener):
     """Counts a run, for each kind of score by the labels of one sequence.
 
-    ``static`` has static points and those kept, ``movers`` for each instance its kind, and for each band of range its
-    points and those removed.
+    ``static`` has static points and those kept, ``movers`` for each instance its kind, and for each
+    band of range its points and those removed.
     """
 
     def __init__(self, truth: Mapping[str, Sequence]) -> None:
@@ -100,7 +107,8 @@ class Count(Listener):
         """Count a frame."""
         removed = labelled.dynamic
         for kind, sequence in self.truth.items():
-            scan, found = sequence[labelled.frame], self.found[kind]
+            scan = sequence[labelled.frame]
+            found = self.found[kind]
             static = scan.labels == Label.STATIC
             found["static"] += static.sum(), (static & ~removed).sum()
             implanted = np.isin(scan.classes, list(CLASSES.values()))
@@ -109,8 +117,13 @@ class Count(Listener):
             for mover in np.unique(scan.instances[moving]).tolist():
                 own = moving & (scan.instances == mover)
                 name = scan.class_names.get(int(scan.classes[own][0]), "")
-                counts = found["movers"].setdefault(str(mover), (group(name), np.zeros((2, len(BANDS) + 1), np.int64)))
-                counts[1][:] += [np.bincount(band[chosen], minlength=len(BANDS) + 1) for chosen in (own, own & removed)]
+                counts = found["movers"].setdefault(
+                    str(mover), (group(name), np.zeros((2, len(BANDS) + 1), np.int64))
+                )
+                counts[1][:] += [
+                    np.bincount(band[chosen], minlength=len(BANDS) + 1)
+                    for chosen in (own, own & removed)
+                ]
 
 
 def group(name: str) -> str:
@@ -135,26 +148,37 @@ class Implanter:
     """Puts movers into a sequence, by seed."""
 
     def __init__(self, base: Cached) -> None:
-        self.base, self.blind = base, base.blind()
+        self.base = base
+        self.blind = base.blind()
         self.agreed = votes(self.blind, default_panel())
         self.lidar = LidarModel.measure(base)
         self.survey = Survey.of(self.blind, moving=self.agreed.dynamic)
 
     def sequences(self, seed: int) -> dict[str, Cached]:
-        """The same implants in the sequence, with the labels of the sequence, and with those of the panel."""
+        """The same implants in the sequence, with the labels of the sequence, and with those of the
+        panel.
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # movers that find no place
             scene = planned("", replace(MOVERS, seed=seed), self.lidar, self.survey)
         kinds = [mover.kind for mover in scene.movers]
-        print(f"{self.base.name} seed {seed}:", {kind: kinds.count(kind) for kind in kinds}, flush=True)
+        print(
+            f"{self.base.name} seed {seed}:",
+            {kind: kinds.count(kind) for kind in kinds},
+            flush=True,
+        )
         panel = ImplantedSequence(self.blind, scene, self.lidar, "", ("panel",), self.agreed.static)
         return {
-            "implants": Cached.of(ImplantedSequence(self.base, scene, self.lidar, ""), self.base.name),
+            "implants": Cached.of(
+                ImplantedSequence(self.base, scene, self.lidar, ""), self.base.name
+            ),
             "panel": Cached.of(panel, self.base.name),
         }
 
 
-def measured(base: Cached, seeds: list[int], entries: list[Entry], folder: Path) -> list[list[dict[str, Any]]]:
+def measured(
+    base: Cached, seeds: list[int], entries: list[Entry], folder: Path
+) -> list[list[dict[str, Any]]]:
     """For each entry the counts on the sequence itself, and on that with each seed's implants."""
     folder.mkdir(parents=True, exist_ok=True)
     implanter: Implanter | None = None
@@ -162,14 +186,17 @@ def measured(base: Cached, seeds: list[int], entries: list[Entry], folder: Path)
     for seed in (None, *seeds):
         truth: dict[str, Cached] = {}
         for entry, found in zip(entries, results, strict=True):
-            stored = folder / f"{'itself' if seed is None else f'seed{seed}'}-{title(entry).replace(' ', '-')}.json"
+            what = "itself" if seed is None else f"seed{seed}"
+            stored = folder / f"{what}-{title(entry).replace(' ', '-')}.json"
             if not stored.exists():
                 if not truth and seed is None:
                     truth = {"true": base}
                 elif not truth:
                     implanter = implanter or Implanter(base)
                     truth = implanter.sequences(int(seed or 0))
-                stored.write_text(json.dumps(run(entry, truth), default=lambda array: array.tolist()))
+                stored.write_text(
+                    json.dumps(run(entry, truth), default=lambda array: array.tolist())
+                )
                 print(f"{base.name}: {stored.stem}", flush=True)
             found.append(json.loads(stored.read_text()))
     return results
@@ -178,8 +205,12 @@ def measured(base: Cached, seeds: list[int], entries: list[Entry], folder: Path)
 def run(entry: Entry, truth: Mapping[str, Cached]) -> dict[str, Any]:
     kind = registry.load("methods", entry[0])
     resolved = params.resolve(kind, settings=[f"{key}={value}" for key, value in entry[1].items()])
-    count, sequence = Count(truth), next(iter(truth.values()))
-    execute(RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online)), [count])
+    count = Count(truth)
+    sequence = next(iter(truth.values()))
+    execute(
+        RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online)),
+        [count],
+    )
     return count.found
 
 
@@ -199,7 +230,9 @@ def scores(results: list[list[dict[str, Any]]], kind: str) -> Scores:
             movers += 1
     mover, seeds, kinds, bands = (np.array(column) for column in zip(*cells, strict=True))
     table = np.array(counts).T
-    return Scores(100 * static[:, 1] / static[:, 0], mover, seeds, kinds, bands, table[0], table[1:])
+    return Scores(
+        100 * static[:, 1] / static[:, 0], mover, seeds, kinds, bands, table[0], table[1:]
+    )
 
 
 def title(entry: Entry) -> str:
@@ -209,27 +242,41 @@ def title(entry: Entry) -> str:
 def grid() -> list[Entry]:
     found: list[Entry] = []
     for method, axes in GRID.items():
-        found += [(method, dict(zip(axes, values, strict=True))) for values in itertools.product(*axes.values())]
+        found += [
+            (method, dict(zip(axes, values, strict=True)))
+            for values in itertools.product(*axes.values())
+        ]
     return found
 
 
 def report(name: str, entries: list[Entry], results: list[list[dict[str, Any]]]) -> dict[str, Any]:
     """Print the scores and how the rankings agree."""
     by_kind = {kind: scores(results, kind) for kind in KINDS}
-    true, names = by_kind["true"], [title(entry) for entry in entries]
-    facts: dict[str, Any] = {"movers": {kind: len(found) for kind, found in by_kind.items()}, "rows": {}}
+    true = by_kind["true"]
+    names = [title(entry) for entry in entries]
+    facts: dict[str, Any] = {
+        "movers": {kind: len(found) for kind, found in by_kind.items()},
+        "rows": {},
+    }
     print(f"{name}: movers {facts['movers']}")
     for average in AVERAGES:
-        das = {kind: compared(average, true, by_kind[kind], true.once(), by_kind[kind].once()) for kind in KINDS[1:]}
+        das = {
+            kind: compared(average, true, by_kind[kind], true.once(), by_kind[kind].once())
+            for kind in KINDS[1:]
+        }
         columns = {"true": (true.sa, das["implants"][0])}
         columns |= {kind: (by_kind[kind].sa, das[kind][1]) for kind in KINDS[1:]}
         aa = {kind: np.sqrt(sa * da) for kind, (sa, da) in columns.items()}
         facts["rows"][average] = rows = {}
         for k in np.argsort(-aa["true"]):
             rows[names[k]] = {
-                kind: [float(sa[k]), float(da[k]), float(aa[kind][k])] for kind, (sa, da) in columns.items()
+                kind: [float(sa[k]), float(da[k]), float(aa[kind][k])]
+                for kind, (sa, da) in columns.items()
             }
-            cells = "  ".join(f"{kind} " + " / ".join(f"{v:6.2f}" for v in row) for kind, row in rows[names[k]].items())
+            cells = "  ".join(
+                f"{kind} " + " / ".join(f"{v:6.2f}" for v in row)
+                for kind, row in rows[names[k]].items()
+            )
             print(f"{name:20} {average:7} {names[k]:40} SA / DA / AA: {cells}", flush=True)
         for kind in KINDS[1:]:
             found = agreement(average, true, by_kind[kind])
@@ -240,28 +287,42 @@ def report(name: str, entries: list[Entry], results: list[list[dict[str, Any]]])
 
 
 def together(facts: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Rank correlation of the AA averaged over several sequences: do implants choose what is best on all of them?"""
+    """Rank correlation of the AA averaged over several sequences.
+
+    Do implants choose what is best on all of them?
+    """
     found: dict[str, dict[str, float]] = {kind: {} for kind in KINDS[1:]}
     for average in AVERAGES:
         rows = [one["rows"][average] for one in facts]
-        aa = {kind: [np.mean([row[name][kind][2] for row in rows]) for name in rows[0]] for kind in KINDS}
+        aa = {
+            kind: [np.mean([row[name][kind][2] for row in rows]) for name in rows[0]]
+            for kind in KINDS
+        }
         for kind in KINDS[1:]:
             found[kind][average] = rank_correlation(aa["true"], aa[kind])
     return found
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("sequences", nargs="*", default=list(DEFAULT), metavar="SEQUENCE")
     parser.add_argument("--frames", type=int, default=60, metavar="N")
-    parser.add_argument("--stride", type=int, default=3, metavar="N", help="use every N-th of these frames")
+    parser.add_argument(
+        "--stride", type=int, default=3, metavar="N", help="use every N-th of these frames"
+    )
     parser.add_argument("--seeds", default="0,1", metavar="A,B")
     parser.add_argument("--methods", metavar="A,B", help="methods to compare; default: all")
     parser.add_argument("--grid", action="store_true", help="compare parameters instead of methods")
     parser.add_argument("-o", "--out", type=Path, default=Path("build/benchmarks/implants"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    names = arguments.methods.split(",") if arguments.methods else [known.name for known in registry.handles("methods")]
+    names = (
+        arguments.methods.split(",")
+        if arguments.methods
+        else [known.name for known in registry.handles("methods")]
+    )
     seeds = [int(seed) for seed in arguments.seeds.split(",")]
     all_facts: list[dict[str, Any]] = []
     for text in arguments.sequences:
@@ -273,7 +334,9 @@ def main() -> None:
             rows = [k for k, (method, _) in enumerate(entries) if group_name in (None, method)]
             facts = report(base.name, [entries[k] for k in rows], [results[k] for k in rows])
             all_facts.append(facts)
-            file = "-".join(filter(None, [base.name, group_name, "seeds", arguments.seeds])) + ".json"
+            file = (
+                "-".join(filter(None, [base.name, group_name, "seeds", arguments.seeds])) + ".json"
+            )
             (arguments.out / file).write_text(json.dumps(facts, indent=1))
     if len(arguments.sequences) > 1 and not arguments.grid:
         print(f"mean AA of all sequences: {json.dumps(together(all_facts))}")

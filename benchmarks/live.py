@@ -1,11 +1,13 @@
 """Latency and memory of methods that run live: ``python benchmarks/live.py [METHOD ...]``.
 
-    python benchmarks/live.py                         p50, p95, p99 and worst time per scan at 30, 60 and 120 k points
-    python benchmarks/live.py --memory                resident memory over 10,000 scans of a drive along a corridor
-    python benchmarks/live.py [METHOD ...] --accuracy SEQ ...    SA and DA online and offline
+    python benchmarks/live.py                         p50, p95, p99 and worst time per scan at 30,
+    60 and 120 k points python benchmarks/live.py --memory                resident memory over
+    10,000 scans of a drive along a corridor python benchmarks/live.py [METHOD ...] --accuracy SEQ
+    ...    SA and DA online and offline
 
-The street of ``scenes.py`` is driven at 7.5 m/s; each scan goes through the whole session, static map included. Besides
-the elapsed time it prints processor time divided by the number of threads: what the scan would take on idle cores.
+The street of ``scenes.py`` is driven at 7.5 m/s; each scan goes through the whole session, static
+map included. Besides the elapsed time it prints processor time divided by the number of threads:
+what the scan would take on idle cores.
 """
 
 from __future__ import annotations
@@ -28,9 +30,12 @@ from dynaviz.contracts.method import Live
 from dynaviz.contracts.scan import Scan, Sequence
 
 SIZES = (30_000, 60_000, 120_000)
-SCANS, WARM = 80, 10
+SCANS = 80
+WARM = 10
 QUANTILES = (50, 95, 99, 100)
-LONG, STEP = 10_000, 0.5  # scans, and metres between them
+# scans, and metres between them
+LONG = 10_000
+STEP = 0.5
 
 
 def able() -> list[str]:
@@ -40,20 +45,28 @@ def able() -> list[str]:
 
 def latency(names: list[str], sizes: list[int], scans: int, folder: Path) -> None:
     """Print a table of times per scan, milliseconds."""
-    print(f"| method | points | {' | '.join(f'p{q}' for q in QUANTILES[:-1])} | worst | p99 of processor time |")
+    print(
+        f"| method | points | {' | '.join(f'p{q}' for q in QUANTILES[:-1])} | worst | p99 of "
+        "processor time |"
+    )
     print(f"|---|---|{'---|' * 5}")
     for name in names:
         for size in sizes:
             drive = Drive.of(size, scans + WARM, folder)
             live = dv.live(name, sensor=drive.sensor)
-            elapsed, processor = [], []
+            elapsed = []
+            processor = []
             for scan in drive:
-                bare, start = scan.without_truth(), (time.perf_counter(), time.process_time())
+                bare = scan.without_truth()
+                start = (time.perf_counter(), time.process_time())
                 live.add(bare)
                 elapsed.append(1000 * (time.perf_counter() - start[0]))
                 processor.append(1000 * (time.process_time() - start[1]) / kernels.threads_in_use())
             shown = " | ".join(f"{np.percentile(elapsed[WARM:], q):.0f}" for q in QUANTILES)
-            print(f"| {name} | {size} | {shown} | {np.percentile(processor[WARM:], 99):.0f} |", flush=True)
+            print(
+                f"| {name} | {size} | {shown} | {np.percentile(processor[WARM:], 99):.0f} |",
+                flush=True,
+            )
 
 
 def corridor(frame: int, random: np.random.Generator) -> Scan:
@@ -67,7 +80,9 @@ def corridor(frame: int, random: np.random.Generator) -> Scan:
     ranges = np.minimum(np.minimum(walls, planes), 25.0)
     T = np.eye(4)
     T[:3, 3] = x, 0.0, 1.5
-    return Scan(frame, (T[:3, 3] + ranges[:, None] * direction).astype(np.float32), T, 100_000_000 * frame)
+    return Scan(
+        frame, (T[:3, 3] + ranges[:, None] * direction).astype(np.float32), T, 100_000_000 * frame
+    )
 
 
 def resident() -> float:
@@ -81,7 +96,9 @@ def memory(names: list[str], scans: int) -> None:
     print("| method | scans | MB | ms of processor time per scan |")
     print("|---|---|---|---|")
     for name in names:
-        live, random, start = dv.live(name, sensor="vlp16", reach=20.0), np.random.default_rng(0), time.process_time()
+        live = dv.live(name, sensor="vlp16", reach=20.0)
+        random = np.random.default_rng(0)
+        start = time.process_time()
         for frame in range(scans):
             live.add(corridor(frame, random))
             if (frame + 1) % (scans // 10) == 0:
@@ -90,7 +107,9 @@ def memory(names: list[str], scans: int) -> None:
 
 
 def accuracy(names: list[str], sources: list[str], frames: str | None) -> None:
-    """Print SA and DA of each scan as it comes (online), and of all scans after the last one (offline)."""
+    """Print SA and DA of each scan as it comes (online), and of all scans after the last one
+    (offline).
+    """
     print("| method | sequence | SA online | DA online | SA offline | DA offline |")
     print(f"|---|---|{'---|' * 4}")
     for source in sources:
@@ -99,16 +118,27 @@ def accuracy(names: list[str], sources: list[str], frames: str | None) -> None:
         for name in names:
             online, offline = answers(name, sequence, scans)
             rates = [*rates_of(scans, online), *rates_of(scans, offline)]
-            print(f"| {name} | {sequence.name} | {' | '.join(f'{rate:.2f}' for rate in rates)} |", flush=True)
+            print(
+                f"| {name} | {sequence.name} | {' | '.join(f'{rate:.2f}' for rate in rates)} |",
+                flush=True,
+            )
 
 
 def answers(name: str, sequence: Sequence, scans: list[Scan]) -> tuple[list[Bool], list[Bool]]:
-    """Dynamic points by scan, online and offline; methods that cannot run live see the whole sequence first."""
+    """Dynamic points by scan, online and offline.
+
+    Methods that cannot run live see the whole sequence first.
+    """
     if name not in able():
-        runs = [dv.run(name, sequence, online=online, record="none", maps=False).labels for online in (True, False)]
+        runs = [
+            dv.run(name, sequence, online=online, record="none", maps=False).labels
+            for online in (True, False)
+        ]
         return [runs[0][n] for n in range(len(scans))], [runs[1][n] for n in range(len(scans))]
     live = dv.live(name, sensor=sequence.sensor, reach=150.0, keep=len(scans))
-    online = [live.add(replace(scan.without_truth(), index=n)).dynamic for n, scan in enumerate(scans)]
+    online = [
+        live.add(replace(scan.without_truth(), index=n)).dynamic for n, scan in enumerate(scans)
+    ]
     return online, [revised.labels.dynamic for revised in live.revise()]
 
 
@@ -123,7 +153,9 @@ def rates_of(scans: list[Scan], answers: list[Bool]) -> tuple[float, float]:
 
 def main() -> None:
     """Measure what was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("methods", nargs="*")
     parser.add_argument("--points", type=int, nargs="+", default=list(SIZES))
     parser.add_argument("--scans", type=int)

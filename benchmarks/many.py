@@ -1,11 +1,13 @@
 """All methods on many simulated scenes, with seeds that were not used to develop SeeThrough.
 
-    python benchmarks/many.py OUT [METHOD ...]        about twenty minutes on two cores; finished runs are kept
-    python benchmarks/many.py --real OUT [METHOD ...]         the same on 22 scenes with the effects of real scans
-    python benchmarks/many.py --sensors OUT [METHOD ...]      the same on 24 such scenes with twelve other sensors
+    python benchmarks/many.py OUT [METHOD ...]        about twenty minutes on two cores; finished
+    runs are kept python benchmarks/many.py --real OUT [METHOD ...]         the same on 22 scenes
+    with the effects of real scans python benchmarks/many.py --sensors OUT [METHOD ...]      the
+    same on 24 such scenes with twelve other sensors
 
-Writes the scenes to OUT/scenes, runs every method with its default parameters on each, and writes OUT/many.json and
-OUT/many.md: the AA of each method on every scene, its distribution, and on how many scenes the method is first.
+Writes the scenes to OUT/scenes, runs every method with its default parameters on each, and writes
+OUT/many.json and OUT/many.md: the AA of each method on every scene, its distribution, and on how
+many scenes the method is first.
 """
 
 from __future__ import annotations
@@ -28,7 +30,10 @@ from dynaviz.synthetic.simulate.presets import PRESETS
 from dynaviz.synthetic.simulate.recording import build, record_sweeps
 from dynaviz.synthetic.simulate.write import simulate
 
-FAIR, GOOD, POOR = (0.015, 0.05), (0.005, 0.02), (0.05, 0.2)  # pose errors, metres and degrees
+# pose errors, metres and degrees
+FAIR = (0.015, 0.05)
+GOOD = (0.005, 0.02)
+POOR = (0.05, 0.2)
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,9 @@ class Variation:
     changed: tuple[tuple[str, Any], ...] = ()
 
 
-def _of(name: str, preset: str, frames: int, seed: int, slope: float = 0.0, **changed: Any) -> Variation:
+def _of(
+    name: str, preset: str, frames: int, seed: int, slope: float = 0.0, **changed: Any
+) -> Variation:
     return Variation(name, preset, frames, seed, slope, tuple(changed.items()))
 
 
@@ -71,6 +78,7 @@ SCENES = (
     _of("vlp32c_square", "square_vlp32c", 30, 110),
     _of("vlp32c_poor_poses", "square_vlp32c", 30, 111, pose_noise=POOR),
 )
+# number of frames, and of scenes
 _FRAMES = {
     "hall_mid360_real": (50, 3),
     "hall_vlp16_real": (50, 4),
@@ -78,12 +86,13 @@ _FRAMES = {
     "square_vlp32c_real": (15, 3),
     "street_hdl64_real": (20, 4),
     "street_vlp16_real": (40, 5),
-}  # number of frames, and of scenes
+}
 REAL = tuple(
     _of(f"{preset.removesuffix('_real')}_{seed}", preset, frames, seed)
     for preset, (frames, scenes) in _FRAMES.items()
     for seed in range(1100, 1100 + scenes)
 )
+# by seed
 _SENSORS = {
     710: ("os1_128", "os2_128"),
     711: ("os0_128", "ruby128"),
@@ -91,7 +100,7 @@ _SENSORS = {
     713: ("aeries2", "rs16"),
     714: ("avia", "pandar64"),
     715: ("vls128", "helios32"),
-}  # by seed
+}
 SENSORS = tuple(
     _of(f"{sensor}_{scene}", f"{scene}_vlp16_real", 25, seed, sensor=sensor)
     for seed, sensors in _SENSORS.items()
@@ -108,14 +117,20 @@ def write(variation: Variation, out: Path) -> None:
     preset = replace(PRESETS[variation.preset], **dict(variation.changed))
     tilt = np.eye(4)
     angle = np.arctan(variation.slope / 100)
-    tilt[:3, :3] = [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
+    tilt[:3, :3] = [
+        [np.cos(angle), 0, -np.sin(angle)],
+        [0, 1, 0],
+        [np.sin(angle), 0, np.cos(angle)],
+    ]
     merged = bool(load_sensor(preset.sensor).mounts)
     with BenchmarkWriter(out) as writer:
         scene = build(preset, variation.frames, variation.seed)
         for sweep in record_sweeps(scene, preset, variation.frames, variation.seed):
             points = geometry.transform(tilt, sweep.points)
             pose = geometry.compose(tilt, sweep.T_world_sensor)
-            writer.append(sweep.index, points, pose, sweep.intensity, sweep.lidar if merged else None)
+            writer.append(
+                sweep.index, points, pose, sweep.intensity, sweep.lidar if merged else None
+            )
             writer.append_truth(points, sweep.labels, sweep.kinds, sweep.instances)
         facts = {"name": out.name, "title": variation.name.replace("_", " "), "preset": preset.name}
         writer.describe({**facts, "sensor": preset.sensor, "seed": variation.seed}, CLASS_NAMES)
@@ -125,17 +140,34 @@ def table(results: dict[str, dict[str, dict[str, float]]]) -> str:
     """Markdown tables: distribution of AA over the scenes for each method, and AA by scene."""
     methods = sorted({m for by in results.values() for m in by})
     methods.sort(key=lambda m: -np.mean([by[m]["AA"] for by in results.values() if m in by]))
-    first = {m: sum(max(by, key=lambda k: by[k]["AA"]) == m for by in results.values()) for m in methods}
+    first = {
+        m: sum(max(by, key=lambda k: by[k]["AA"]) == m for by in results.values()) for m in methods
+    }
     lines = [
-        "| method | AA mean | worst | quartile | median | quartile | best | SA mean | DA mean | least SA | first on |",
+        "| method | AA mean | worst | quartile | median | quartile | best | SA mean | DA mean | "
+        "least SA | first on |",
         "|---|" + "---|" * 10,
     ]
     for m in methods:
         aa = np.array([by[m]["AA"] for by in results.values()])
         sa, da = (np.array([by[m][score] for by in results.values()]) for score in ("SA", "DA"))
-        spread = (aa.mean(), *np.percentile(aa, (0, 25, 50, 75, 100)), sa.mean(), da.mean(), sa.min())
-        lines.append(f"| `{m}` | " + " | ".join(f"{x:.1f}" for x in spread) + f" | {first[m]} of {len(results)} |")
-    lines += ["", "| scene | " + " | ".join(f"`{m}`" for m in methods) + " |", "|---|" + "---|" * len(methods)]
+        spread = (
+            aa.mean(),
+            *np.percentile(aa, (0, 25, 50, 75, 100)),
+            sa.mean(),
+            da.mean(),
+            sa.min(),
+        )
+        lines.append(
+            f"| `{m}` | "
+            + " | ".join(f"{x:.1f}" for x in spread)
+            + f" | {first[m]} of {len(results)} |"
+        )
+    lines += [
+        "",
+        "| scene | " + " | ".join(f"`{m}`" for m in methods) + " |",
+        "|---|" + "---|" * len(methods),
+    ]
     for scene, by in results.items():
         lines.append(f"| {scene} | " + " | ".join(f"{by[m]['AA']:.1f}" for m in methods) + " |")
     return "\n".join(lines) + "\n"

@@ -1,14 +1,16 @@
-"""Seconds per frame of every method, its profile by kernel and its memory, on 120 000 points per frame.
+"""Seconds per frame of every method, its profile by kernel and its memory, on 120 000 points per
+frame.
 
     python benchmarks/methods.py                              all methods on a generated street
     python benchmarks/methods.py dufomap removert             some methods
-    python benchmarks/methods.py --folder FOLDER --frames 30  on pcd/*.pcd of a folder in the benchmark's layout
-    python benchmarks/methods.py removert --preset port
+    python benchmarks/methods.py --folder FOLDER --frames 30  on pcd/*.pcd of a folder in the
+    benchmark's layout python benchmarks/methods.py removert --preset port
 
-Each method runs in its own process, after a first round that compiles. Rounds on all threads and on one thread
-alternate, and the fastest of three is used. Memory is the peak beyond the scans, which are all in memory here, and
-beyond the raw map that some methods receive; both sizes are printed. The profile is measured in a separate round and
-sums all calls of each kernel while scans are observed and labelled.
+Each method runs in its own process, after a first round that compiles. Rounds on all threads and on
+one thread alternate, and the fastest of three is used. Memory is the peak beyond the scans, which
+are all in memory here, and beyond the raw map that some methods receive; both sizes are printed.
+The profile is measured in a separate round and sums all calls of each kernel while scans are
+observed and labelled.
 """
 
 from __future__ import annotations
@@ -33,13 +35,17 @@ from dynaviz.contracts.params import resolve
 from dynaviz.contracts.scan import Scan
 from dynaviz.engine.loop import peak_rss_mb
 
-ROUNDS, FRAMES = 3, 60
+ROUNDS = 3
+FRAMES = 60
 
 
 def run(
     running: Any, scans: list[Scan], context: Context, ready: Callable[[], None] = lambda: None
 ) -> tuple[float, float, float, np.ndarray]:
-    """Seconds for begin, seconds per frame for observe and for label, all labels; calls ``ready`` after ``begin``."""
+    """Seconds for begin, seconds per frame for observe and for label, all labels.
+
+    Calls ``ready`` after ``begin``.
+    """
     start = time.perf_counter()
     running.begin(context)
     ready()
@@ -49,11 +55,19 @@ def run(
     observed = time.perf_counter()
     labels = [running.label(scan).dynamic for scan in scans]
     end = time.perf_counter()
-    return begun - start, (observed - begun) / len(scans), (end - observed) / len(scans), np.concatenate(labels)
+    return (
+        begun - start,
+        (observed - begun) / len(scans),
+        (end - observed) / len(scans),
+        np.concatenate(labels),
+    )
 
 
 def watch(spent: defaultdict[str, float]) -> None:
-    """Time every later call of a kernel from Python; kernels called by a kernel are included in its time."""
+    """Time every later call of a kernel from Python.
+
+    Kernels called by a kernel are included in its time.
+    """
 
     def timed(call: Callable[..., Any], step: str) -> Callable[..., Any]:
         def wrapped(*arguments: Any) -> Any:
@@ -95,11 +109,20 @@ def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> 
     kernels.set_threads(threads)
     begin, observe, label, labels = best[threads]
     ratio = (best[1][1] + best[1][2]) / (observe + label)
-    print(f"\n{name}{f' --preset {preset}' if preset else ''}: {observe + label:.4f} s per frame on {threads} threads")
+    print(
+        f"\n{name}{f' --preset {preset}' if preset else ''}: {observe + label:.4f} s per frame on "
+        f"{threads} threads"
+    )
     print(f"  observe {observe:.4f}, label {label:.4f}; begin {begin:.2f} s")
-    print(f"  on one thread {ratio:.2f} times as slow; identical labels: {np.array_equal(labels, best[1][3])}")
+    print(
+        f"  on one thread {ratio:.2f} times as slow; identical labels: "
+        f"{np.array_equal(labels, best[1][3])}"
+    )
     raw = f", and the raw map of {raw_map.nbytes / 1e6:.0f} MB" if raw_map is not None else ""
-    print(f"  memory {held:.0f} MB beyond {sum(scan.points.nbytes for scan in scans) / 1e6:.0f} MB of scans{raw}")
+    print(
+        f"  memory {held:.0f} MB beyond {sum(scan.points.nbytes for scan in scans) / 1e6:.0f} MB "
+        f"of scans{raw}"
+    )
 
     spent: defaultdict[str, float] = defaultdict(float)
     watch(spent)
@@ -108,7 +131,9 @@ def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> 
     for step, mean in sorted(steps.items(), key=lambda pair: -pair[1])[:8]:
         print(f"  {step:28} {1000 * mean:7.2f} ms per frame")
     print(
-        f"  {'other steps, in numpy':28} {1000 * (observe + label - sum(steps.values())):7.2f} ms per frame", flush=True
+        f"  {'other steps, in numpy':28} {1000 * (observe + label - sum(steps.values())):7.2f} ms "
+        "per frame",
+        flush=True,
     )
 
 

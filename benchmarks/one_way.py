@@ -1,7 +1,10 @@
-"""Cost of many small scans on a drive that never returns: ``python benchmarks/one_way.py [METHOD ...]``.
+"""Cost of many small scans on a drive that never returns.
 
-A sensor drives straight ahead, 1 m per scan, and sees 60 points in each. Prints the milliseconds of CPU time per scan
-on one thread, over more and more scans: where they grow, the work of a method grows with its map, not with the scan.
+``python benchmarks/one_way.py [METHOD ...]``.
+
+A sensor drives straight ahead, 1 m per scan, and sees 60 points in each. Prints the milliseconds of
+CPU time per scan on one thread, over more and more scans: where they grow, the work of a method
+grows with its map, not with the scan.
 """
 
 from __future__ import annotations
@@ -19,18 +22,25 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.testing.world import SENSOR
 
 FRAMES = (300, 1200, 4800)
-POINTS, STEP, FAR = 60, 1.0, 30.0  # per scan; metres between scans; metres to the farthest point
+# per scan; metres between scans; metres to the farthest point
+POINTS = 60
+STEP = 1.0
+FAR = 30.0
 
 
 def drive(frames: int) -> list[Scan]:
     """Scans of ground and of things up to 2.5 m high, along a straight road."""
-    random, scans = np.random.default_rng(0), []
+    random = np.random.default_rng(0)
+    scans = []
     for index in range(frames):
         T_world_sensor = np.eye(4)
         T_world_sensor[:3, 3] = STEP * index, 0.0, 1.7
-        angle, distance = random.uniform(0, 2 * np.pi, POINTS), random.uniform(3, FAR, POINTS)
+        angle = random.uniform(0, 2 * np.pi, POINTS)
+        distance = random.uniform(3, FAR, POINTS)
         height = random.uniform(0, 2.5, POINTS) * (random.random(POINTS) < 0.5)
-        points = np.column_stack([STEP * index + distance * np.cos(angle), distance * np.sin(angle), height])
+        points = np.column_stack(
+            [STEP * index + distance * np.cos(angle), distance * np.sin(angle), height]
+        )
         scans.append(Scan(index, points.astype(np.float32), T_world_sensor))
     return scans
 

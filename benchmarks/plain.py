@@ -1,12 +1,14 @@
-"""Speed of the methods compared with plain implementations of the same steps, and whether the results agree.
+"""Speed of the methods compared with plain implementations of the same steps, and whether the
+results agree.
 
     python benchmarks/plain.py                      on a generated street
-    python benchmarks/plain.py --folder FOLDER      on pcd/*.pcd of a folder in the benchmark's layout
-    python benchmarks/plain.py --methods dufomap    some methods
+    python benchmarks/plain.py --folder FOLDER      on pcd/*.pcd of a folder in the benchmark's
+    layout python benchmarks/plain.py --methods dufomap    some methods
 
-OctoMap is compared with a single-threaded numba loop that walks a dense grid in double precision; Removert, ERASOR and
-Dynablox with numpy; DUFOMap with the public implementation, if it is installed (pip install dufomap). All run in one
-process on the same few frames, after a first round that compiles. The fastest of three rounds is used.
+OctoMap is compared with a single-threaded numba loop that walks a dense grid in double precision;
+Removert, ERASOR and Dynablox with numpy; DUFOMap with the public implementation, if it is installed
+(pip install dufomap). All run in one process on the same few frames, after a first round that
+compiles. The fastest of three rounds is used.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ from dynaviz_methods.removert import Removert
 from dynaviz_methods.tiles import thinned
 from methods import run
 
-ROUNDS, FRAMES = 3, 6
+ROUNDS = 3
+FRAMES = 6
 Answer = tuple[float, np.ndarray]  # seconds per frame, and the result
 
 
@@ -48,7 +51,9 @@ def fastest(call: Callable[[], Answer]) -> Answer:
 
 def ours(running: Any, scans: list[Scan], raw_map: np.ndarray | None = None) -> Answer:
     """Seconds per frame without ``begin``, and all labels."""
-    _, observe, label, labels = run(running, scans, Context(Extent.of(*scans), SENSOR, raw_map=raw_map))
+    _, observe, label, labels = run(
+        running, scans, Context(Extent.of(*scans), SENSOR, raw_map=raw_map)
+    )
     return observe + label, labels
 
 
@@ -59,15 +64,21 @@ def octomap(scans: list[Scan]) -> tuple[str, Answer, Answer]:
 
 
 @njit(cache=True)
-def plain_walk(points, origin, per_metre, low, shape, stamps, stamp, odds, miss, hit, least, most, touched):
-    """Visit every voxel of every ray in a dense grid, then update; bit 1 of a stamp is free, bit 2 is occupied."""
+def plain_walk(
+    points, origin, per_metre, low, shape, stamps, stamp, odds, miss, hit, least, most, touched
+):
+    """Visit every voxel of every ray in a dense grid, then update.
+
+    Bit 1 of a stamp is free, bit 2 is occupied.
+    """
     n = 0
     for p in range(len(points)):
         o, d, k, goal, step, t, dt = np.empty((7, 3))
         for a in range(3):
             o[a] = origin[a] * per_metre
             d[a] = points[p, a] * per_metre - o[a]
-            k[a], goal[a] = math.floor(o[a]), math.floor(points[p, a] * per_metre)
+            k[a] = math.floor(o[a])
+            goal[a] = math.floor(points[p, a] * per_metre)
             step[a] = 1.0 if d[a] > 0 else -1.0
             t[a] = (k[a] + (d[a] > 0) - o[a]) / d[a] if k[a] != goal[a] else np.inf
             dt[a] = 1.0 / abs(d[a]) if d[a] != 0.0 else np.inf
@@ -92,22 +103,33 @@ def plain_walk(points, origin, per_metre, low, shape, stamps, stamp, odds, miss,
             odds[v] = min(odds[v] + hit, most)
 
 
-def dense_octomap(scans: list[Scan], resolution: float, clock: Callable[[], float] = time.perf_counter) -> Answer:
+def dense_octomap(
+    scans: list[Scan], resolution: float, clock: Callable[[], float] = time.perf_counter
+) -> Answer:
     """Seconds per frame, and the labels."""
     per_metre = 1.0 / resolution
     extent = Extent.of(*scans)
     low = np.floor(extent.low * per_metre).astype(np.int64) - 1
     shape = np.floor(extent.high * per_metre).astype(np.int64) + 2 - low
     size = int(np.prod(shape))
-    stamps, odds, touched = np.zeros(size, np.uint16), np.zeros(size, np.float32), np.empty(size, np.int64)
+    stamps = np.zeros(size, np.uint16)
+    odds = np.zeros(size, np.float32)
+    touched = np.empty(size, np.int64)
     logits = [np.float32(math.log(p / (1 - p))) for p in (0.4, 0.7, 0.12, 0.97)]
     seconds = []
     for stamp, scan in enumerate(scans, 1):
         start = clock()
-        plain_walk(scan.points, scan.position, per_metre, low, shape, stamps, stamp, odds, *logits, touched)
+        plain_walk(
+            scan.points, scan.position, per_metre, low, shape, stamps, stamp, odds, *logits, touched
+        )
         seconds.append(clock() - start)
-    keys = (np.floor(scan.points.astype(np.float64) * per_metre).astype(np.int64) - low for scan in scans)
-    return float(np.mean(seconds)), np.concatenate([odds[np.ravel_multi_index(k.T, shape)] < 0 for k in keys])
+    keys = (
+        np.floor(scan.points.astype(np.float64) * per_metre).astype(np.int64) - low
+        for scan in scans
+    )
+    return float(np.mean(seconds)), np.concatenate(
+        [odds[np.ravel_multi_index(k.T, shape)] < 0 for k in keys]
+    )
 
 
 def removert(scans: list[Scan]) -> tuple[str, Answer, Answer]:
@@ -136,10 +158,12 @@ def numpy_removert(scans: list[Scan], points: np.ndarray) -> Answer:
         pixel = np.where(inside, np.minimum(row, view[0] - 1) * view[1] + column, -1).astype(int)
         return pixel, np.sqrt(x * x + y * y + z * z)
 
-    past, start = np.zeros(len(points), bool), time.perf_counter()
+    past = np.zeros(len(points), bool)
+    start = time.perf_counter()
     for scan in scans:
         for view, pixels in zip(views, slices(views), strict=True):
-            image = np.zeros(pixels.stop - pixels.start + 1)  # the last pixel is for points out of view
+            # the last pixel is for points out of view
+            image = np.zeros(pixels.stop - pixels.start + 1)
             pixel, ranges = project(scan.points, scan, view)
             farthest_first = np.argsort(-ranges)
             image[pixel[farthest_first]] = ranges[farthest_first]
@@ -151,10 +175,8 @@ def numpy_removert(scans: list[Scan], points: np.ndarray) -> Answer:
 
 def erasor(scans: list[Scan]) -> tuple[str, Answer, Answer]:
     """ERASOR on every scan, with a map of all scans, and the same in numpy."""
-    params, raw_map = (
-        dataclasses.replace(Erasor.Params(), removal_interval=1),
-        np.concatenate([s.points for s in scans]),
-    )
+    params = dataclasses.replace(Erasor.Params(), removal_interval=1)
+    raw_map = np.concatenate([s.points for s in scans])
     plain = fastest(lambda: numpy_erasor(params, scans, raw_map))
     return "numpy", plain, fastest(lambda: ours(Erasor(params), scans, raw_map))
 
@@ -162,27 +184,37 @@ def erasor(scans: list[Scan]) -> tuple[str, Answer, Answer]:
 def numpy_erasor(params: ErasorParams, scans: list[Scan], raw_map: np.ndarray) -> Answer:
     """Seconds per scan in numpy, without downsampling the map; and which raw points are removed."""
     points, voxels = thinned(raw_map, params.map_voxel)
-    points, n = points.astype(float), params.rings * params.sectors
-    alive, start = np.ones(len(points), bool), time.perf_counter()
+    points = points.astype(float)
+    n = params.rings * params.sectors
+    alive = np.ones(len(points), bool)
+    start = time.perf_counter()
 
     def bins(xyz: np.ndarray) -> np.ndarray:
         reach = np.hypot(xyz[:, 0], xyz[:, 1])
         ring = (reach * params.rings / params.max_range).astype(int)
         sector = (np.arctan2(xyz[:, 1], xyz[:, 0]) / (2 * np.pi) % 1 * params.sectors).astype(int)
-        inside = (reach < params.max_range) & (xyz[:, 2] > params.min_height) & (xyz[:, 2] < params.max_height)
+        inside = (
+            (reach < params.max_range)
+            & (xyz[:, 2] > params.min_height)
+            & (xyz[:, 2] < params.max_height)
+        )
         return np.where(inside, ring * params.sectors + sector, n)
 
     def heights(z: np.ndarray, b: np.ndarray) -> np.ndarray:
-        low, high = np.full(n + 1, np.inf), np.full(n + 1, -np.inf)
+        low = np.full(n + 1, np.inf)
+        high = np.full(n + 1, -np.inf)
         np.minimum.at(low, b, z)
         np.maximum.at(high, b, z)
         return np.where(high >= low, high - low, np.nan)[:n]
 
     for scan in scans:
         foot = scan.position - (0, 0, SENSOR.height)
-        query, here = thinned(scan.points, params.query_voxel)[0] - foot, points - foot
-        of_scan, of_map = bins(query), np.where(alive, bins(here), n)
-        low, high = heights(query[:, 2], of_scan), heights(here[:, 2], of_map)
+        query = thinned(scan.points, params.query_voxel)[0] - foot
+        here = points - foot
+        of_scan = bins(query)
+        of_map = np.where(alive, bins(here), n)
+        low = heights(query[:, 2], of_scan)
+        high = heights(here[:, 2], of_map)
         with np.errstate(invalid="ignore"):
             flagged = (low / high < params.scan_ratio) & (high > params.min_difference)
         flagged &= np.bincount(of_scan, minlength=n + 1)[:n] >= params.min_points
@@ -221,11 +253,14 @@ def dynablox(scans: list[Scan]) -> tuple[str, Answer, Answer]:
 
 
 def numpy_distances(p: DynabloxParams, space: Any, scans: list[Scan]) -> Answer:
-    """Seconds per frame in numpy for the distances of all voxels that can contain points, and the distances."""
+    """Seconds per frame in numpy for the distances of all voxels that can contain points, and the
+    distances.
+    """
     blocks = np.flatnonzero(space._inner)
     voxels = (512 * blocks[:, None] + np.arange(512)).ravel()
     centres = (space.grid.keys(voxels) + 0.5) * p.resolution
-    distance, weight = np.zeros(len(voxels), np.float32), np.zeros(len(voxels), np.float32)
+    distance = np.zeros(len(voxels), np.float32)
+    weight = np.zeros(len(voxels), np.float32)
     rows, columns, top, per_row, per_column = space._view.numbers
     start = time.perf_counter()
 
@@ -234,7 +269,9 @@ def numpy_distances(p: DynabloxParams, space: Any, scans: list[Scan]) -> Answer:
         row = np.floor((top - np.arctan2(z, np.hypot(x, y))) * per_row + 0.5)
         column = np.floor((np.arctan2(y, x) + np.pi) * per_column + 0.5) % columns
         inside = (row >= 0) & (row < rows)
-        return np.where(inside, row * columns + column, rows * columns).astype(int), np.sqrt(x * x + y * y + z * z)
+        return np.where(inside, row * columns + column, rows * columns).astype(int), np.sqrt(
+            x * x + y * y + z * z
+        )
 
     for scan in scans:
         image = np.full(int(rows * columns) + 1, np.inf)
@@ -257,10 +294,16 @@ def dufomap(scans: list[Scan]) -> tuple[str, Answer, Answer]:
     return "the public implementation", plain, fastest(lambda: ours(DufoMap(params), scans))
 
 
-def public_dufomap(scans: list[Scan], threads: int, clock: Callable[[], float] = time.perf_counter) -> Answer:
-    """Seconds per frame of the public implementation with the range limits of its example, and its labels."""
+def public_dufomap(
+    scans: list[Scan], threads: int, clock: Callable[[], float] = time.perf_counter
+) -> Answer:
+    """Seconds per frame of the public implementation with the range limits of its example, and its
+    labels.
+    """
     program = importlib.import_module("dufomap").dufomap(0.1, 0.2, 1, threads)
-    near = [np.linalg.norm(scan.points - scan.position.astype(np.float32), axis=1) for scan in scans]
+    near = [
+        np.linalg.norm(scan.points - scan.position.astype(np.float32), axis=1) for scan in scans
+    ]
     chosen = [scan.points[(r > 0.2) & (r < 50)] for scan, r in zip(scans, near, strict=True)]
     start = clock()
     for scan, points in zip(scans, chosen, strict=True):
@@ -273,13 +316,20 @@ COMPARED = {call.__name__: call for call in (octomap, removert, erasor, dynablox
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--methods", nargs="*", default=list(COMPARED), choices=COMPARED)
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--frames", type=int, default=FRAMES)
     arguments = parser.parse_args()
-    scans = read(arguments.folder, arguments.frames) if arguments.folder else street(arguments.frames)
-    print(f"{len(scans)} frames of {np.mean([len(s) for s in scans]):.0f} points; {kernels.set_threads(None)} threads")
+    scans = (
+        read(arguments.folder, arguments.frames) if arguments.folder else street(arguments.frames)
+    )
+    print(
+        f"{len(scans)} frames of {np.mean([len(s) for s in scans]):.0f} points; "
+        f"{kernels.set_threads(None)} threads"
+    )
     for name in arguments.methods:
         try:
             COMPARED[name](scans[:2])  # compile
@@ -288,7 +338,11 @@ def main() -> None:
             continue
         reference, (plain, expected), (seconds, answer) = COMPARED[name](scans)
         same = 100 * np.mean(expected == answer[: len(expected)])
-        print(f"{name:9} {1000 * seconds:8.1f} ms per frame; {reference} {1000 * plain:.1f} ms", end="", flush=True)
+        print(
+            f"{name:9} {1000 * seconds:8.1f} ms per frame; {reference} {1000 * plain:.1f} ms",
+            end="",
+            flush=True,
+        )
         print(f", {plain / seconds:.1f} times as long; {same:.4f} % identical", flush=True)
 
 

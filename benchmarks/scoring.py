@@ -1,7 +1,10 @@
-"""Cost of scoring: metrics per frame and at the end, neighbour search compared with scipy's k-d tree, a whole map.
+"""Cost of scoring: metrics per frame and at the end, neighbour search compared with scipy's k-d
+tree, a whole map.
 
-Usage: python benchmarks/scoring.py [FRAMES]      (141 frames of 123 000 points, like KITTI 00, take about a minute)
-       python benchmarks/scoring.py map [SEQ]     OctoMap's map of a sequence, or of 141 frames of a simulated street
+Usage: python benchmarks/scoring.py [FRAMES]      (141 frames of 123 000 points, like KITTI 00, take
+about a minute)
+       python benchmarks/scoring.py map [SEQ]     OctoMap's map of a sequence, or of 141 frames of a
+       simulated street
 """
 
 from __future__ import annotations
@@ -39,8 +42,11 @@ METRICS = (Confusion, ErrorDistance, BreakdownMetric, ReasonsMetric)
 
 def street(position: float, rng: np.random.Generator, n: int) -> F32:
     """(n, 3) float32, metres: ground and house walls around a sensor, denser near it."""
-    distance, azimuth = 2 + rng.exponential(12, n), rng.uniform(-np.pi, np.pi, n)
-    x, y, z = position + distance * np.cos(azimuth), distance * np.sin(azimuth), rng.normal(-1.7, 0.02, n)
+    distance = 2 + rng.exponential(12, n)
+    azimuth = rng.uniform(-np.pi, np.pi, n)
+    x = position + distance * np.cos(azimuth)
+    y = distance * np.sin(azimuth)
+    z = rng.normal(-1.7, 0.02, n)
     wall = np.abs(y) > 15
     y[wall] = np.sign(y[wall]) * 15 + rng.normal(0, 0.03, wall.sum())
     z[wall] = rng.uniform(-1.7, 8, wall.sum())
@@ -48,7 +54,10 @@ def street(position: float, rng: np.random.Generator, n: int) -> F32:
 
 
 def labelled_street(frame: int, n: int = 123_000) -> Labelled:
-    """A frame with a car and bad labels: 6 m patches of ground and a tenth of all other points are removed."""
+    """A frame with a car and bad labels.
+
+    6 m patches of ground and a tenth of all other points are removed.
+    """
     rng = np.random.default_rng(frame)
     points = street(frame, rng, n)
     car = (np.abs(points[:, 0] - frame - 10) < 2) & (np.abs(points[:, 1]) < 1)
@@ -66,7 +75,8 @@ def metrics(frames: int) -> None:
         warm = metric(INFO)
         warm.update(first)
         warm.finish()
-    run, spent = [metric(INFO) for metric in METRICS], defaultdict(list)
+    run = [metric(INFO) for metric in METRICS]
+    spent = defaultdict(list)
     for frame in range(frames):
         labelled = labelled_street(frame)
         for metric in run:
@@ -78,7 +88,10 @@ def metrics(frames: int) -> None:
         start = time.perf_counter()
         section = metric.finish()
         seconds = time.perf_counter() - start
-        print(f"{type(metric).__name__:14s} {np.median(spent[metric]) * 1e3:12.2f} ms {seconds:7.2f} s")
+        print(
+            f"{type(metric).__name__:14s} {np.median(spent[metric]) * 1e3:12.2f} ms {seconds:7.2f} "
+            "s"
+        )
         if isinstance(metric, ErrorDistance):
             counts = {kind: found["count"] for kind, found in section["error_distance"].items()}
     print(f"{frames} frames of {len(first.scan)} points; {counts}")
@@ -87,7 +100,8 @@ def metrics(frames: int) -> None:
 
 def neighbours(n: int, m: int, limit: float) -> None:
     rng = np.random.default_rng(0)
-    query, reference = street(0, rng, n), street(0, rng, m)
+    query = street(0, rng, n)
+    reference = street(0, rng, m)
     nearest_distance(query[:10], reference[:10], limit)
     start = time.perf_counter()
     found = nearest_distance(query, reference, limit)
@@ -112,7 +126,10 @@ def timed(call: Callable[[], Any], rounds: int = 3) -> tuple[Any, float]:
 
 
 def whole_map(sequence: Path, folder: Path) -> None:
-    """Score OctoMap's map of a sequence: first only the tree and the queries, then the whole command."""
+    """Score OctoMap's map of a sequence.
+
+    First only the tree and the queries, then the whole command.
+    """
     dv.run("octomap", sequence, out=folder, record="none")
     path = folder / "static_map.pcd"
     points = read_points(path)
@@ -123,7 +140,9 @@ def whole_map(sequence: Path, folder: Path) -> None:
     removed = {}
     for threads in (None, 1):
         used = kernels.set_threads(threads)
-        removed[used], seconds = timed(lambda: sum(int((~tree.within(scan, 0.05)).sum()) for scan in scans))
+        removed[used], seconds = timed(
+            lambda: sum(int((~tree.within(scan, 0.05)).sum()) for scan in scans)
+        )
         print(f"all queries on {used} threads: {seconds:.2f} s")
     assert len(set(removed.values())) == 1, removed
     start = time.perf_counter()
@@ -132,16 +151,23 @@ def whole_map(sequence: Path, folder: Path) -> None:
     for record in ("none", "errors"):
         start = time.perf_counter()
         words = ["score", path, sequence, "-o", folder / "scored", "--record", record]
-        command = subprocess.Popen([sys.executable, "-c", "from dynaviz.cli import main; main()", *words])
+        command = subprocess.Popen(
+            [sys.executable, "-c", "from dynaviz.cli import main; main()", *words]
+        )
         _, status, usage = os.wait4(command.pid, 0)
-        seconds, cpu = time.perf_counter() - start, usage.ru_utime + usage.ru_stime
+        seconds = time.perf_counter() - start
+        cpu = usage.ru_utime + usage.ru_stime
         memory = usage.ru_maxrss / 1e3
-        print(f"dynaviz score --record {record}: {seconds:.1f} s, {cpu:.1f} s of processor time, {memory:.0f} MB")
+        print(
+            f"dynaviz score --record {record}: {seconds:.1f} s, {cpu:.1f} s of processor time, "
+            f"{memory:.0f} MB"
+        )
         assert status == 0
 
 
 def simulated(folder: Path) -> Path:
-    subprocess.run([sys.executable, "-c", "from dynaviz.cli import main; main()", "simulate", "street_hdl64",
+    subprocess.run([sys.executable, "-c", "from dynaviz.cli import main; "
+    "main()", "simulate", "street_hdl64",
                     folder / "street", "--frames", "141"], check=True)  # fmt: skip
     return folder / "street"
 
@@ -149,7 +175,9 @@ def simulated(folder: Path) -> Path:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["map"]:
         with tempfile.TemporaryDirectory() as place:
-            whole_map(Path(sys.argv[2]) if sys.argv[2:] else simulated(Path(place)), Path(place) / "run")
+            whole_map(
+                Path(sys.argv[2]) if sys.argv[2:] else simulated(Path(place)), Path(place) / "run"
+            )
         sys.exit()
     metrics(int(sys.argv[1]) if len(sys.argv) > 1 else 141)
     for limit in (0.05, 2.0):

@@ -1,8 +1,10 @@
-"""Where the time of a method goes, step by step: ``python benchmarks/steps.py METHOD ... [--folder FOLDER]``.
+"""Where the time of a method goes, step by step: ``python benchmarks/steps.py METHOD ...
 
-Prints processor milliseconds per frame on one thread of each step of ``observe`` and ``label``: functions by name, and
-indented what they call. The profiler adds a few percent. Processor time depends little on other programs;
-``methods.py`` measures seconds on all threads.
+[--folder FOLDER]``.
+
+Prints processor milliseconds per frame on one thread of each step of ``observe`` and ``label``:
+functions by name, and indented what they call. The profiler adds a few percent. Processor time
+depends little on other programs; ``methods.py`` measures seconds on all threads.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ from dynaviz.contracts.method import Context
 from dynaviz.contracts.params import resolve
 from dynaviz.contracts.scan import Scan
 
-FRAMES, WARM = 24, 4  # frames; the first few run once before, to load kernels
+# frames; the first few run once before, to load kernels
+FRAMES = 24
+WARM = 4
 LEAST = 0.5  # milliseconds per frame of the steps to print
 Function = tuple[str, int, str]  # file, line and name, as in pstats
 
@@ -49,9 +53,13 @@ def steps(name: str, preset: str | None, scans: list[Scan]) -> Iterator[tuple[in
     stats.calc_callees()
 
     def below(caller: Function, depth: int) -> Iterator[tuple[int, str, float]]:
-        for step, (*_, seconds) in sorted(stats.all_callees[caller].items(), key=lambda item: -item[1][3]):
+        for step, (*_, seconds) in sorted(
+            stats.all_callees[caller].items(), key=lambda item: -item[1][3]
+        ):
             yield depth, step[2].strip("<>"), 1000 * seconds / len(scans)
-            if "dynaviz_methods" in step[0] and len(stats.stats[step][4]) == 1:  # what only this caller calls
+            if (
+                "dynaviz_methods" in step[0] and len(stats.stats[step][4]) == 1
+            ):  # what only this caller calls
                 yield from below(step, depth + 1)
 
     for pass_ in ("observe", "label"):
@@ -63,9 +71,13 @@ def steps(name: str, preset: str | None, scans: list[Scan]) -> Iterator[tuple[in
 def main() -> None:
     arguments = arguments_parser(__doc__, FRAMES, "+").parse_args()
     kernels.set_threads(1)
-    scans = read(arguments.folder, arguments.frames) if arguments.folder else street(arguments.frames)
+    scans = (
+        read(arguments.folder, arguments.frames) if arguments.folder else street(arguments.frames)
+    )
     for name in arguments.methods:
-        print(f"\n{name}, {len(scans[0]):,} points per frame, ms per frame on one thread", flush=True)
+        print(
+            f"\n{name}, {len(scans[0]):,} points per frame, ms per frame on one thread", flush=True
+        )
         for depth, step, ms in steps(name, arguments.preset, scans):
             if ms >= LEAST:
                 print(f"  {'  ' * depth + step:36} {ms:7.1f}")

@@ -1,12 +1,15 @@
-"""Where a whole command spends its time: a table of its steps, from the start of the process to its end.
+"""Where a whole command spends its time.
+
+A table of its steps, from the start of the process to its end.
 
 Then the time of commands on finished runs, and of a benchmark of the methods.
 
-    python benchmarks/whole.py                       140 frames of a simulated street, HDL-64E; octomap and seethrough
-    python benchmarks/whole.py SEQ [METHOD ...]
+    python benchmarks/whole.py                       140 frames of a simulated street, HDL-64E;
+    octomap and seethrough python benchmarks/whole.py SEQ [METHOD ...]
 
-Each command runs in a process of its own, after a run on two frames that compiles. Steps exclude the steps that they
-call. Processor time is that of all threads: work in the background counts in the step during which it happens.
+Each command runs in a process of its own, after a run on two frames that compiles. Steps exclude
+the steps that they call. Processor time is that of all threads: work in the background counts in
+the step during which it happens.
 """
 
 from __future__ import annotations
@@ -24,16 +27,22 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-LAUNCHED = "WHOLE_LAUNCHED"  # environment variable: when the process was launched, seconds since the epoch
+LAUNCHED = (
+    "WHOLE_LAUNCHED"  # environment variable: when the process was launched, seconds since the epoch
+)
 
 
 class Steps:
-    """Elapsed and processor seconds by step of the main thread; time belongs to the innermost step."""
+    """Elapsed and processor seconds by step of the main thread.
+
+    Time belongs to the innermost step.
+    """
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
         self._open = ["start and imports"]
-        self._elapsed, self._processor = time.time() - float(os.environ[LAUNCHED]), time.process_time()
+        self._elapsed = time.time() - float(os.environ[LAUNCHED])
+        self._processor = time.process_time()
         self._add(self._elapsed, self._processor)
         self._last = time.perf_counter()
 
@@ -43,9 +52,11 @@ class Steps:
         found[1] += processor
 
     def _switch(self) -> None:
-        now, processor = time.perf_counter(), time.process_time()
+        now = time.perf_counter()
+        processor = time.process_time()
         self._add(now - self._last, processor - self._processor)
-        self._last, self._processor = now, processor
+        self._last = now
+        self._processor = processor
 
     def timed(self, name: str, call: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Call as a step."""
@@ -68,7 +79,9 @@ class Steps:
         setattr(owner, method, timed)
 
 
-def _stream(steps: Steps, stream: Callable[..., Iterator[Any]], name: str) -> Callable[..., Iterator[Any]]:
+def _stream(
+    steps: Steps, stream: Callable[..., Iterator[Any]], name: str
+) -> Callable[..., Iterator[Any]]:
     def timed(*args: Any, **kwargs: Any) -> Iterator[Any]:
         scans = stream(*args, **kwargs)
         while (scan := steps.timed(name, next, scans, None)) is not None:
@@ -132,7 +145,16 @@ def profile(command: str, method: str, source: str, frames: str = "") -> dict[st
     """Elapsed and processor seconds by step of a command in a fresh process."""
     with tempfile.TemporaryDirectory() as out:
         run = subprocess.run(
-            [sys.executable, __file__, "--child", command, method, source, out, *filter(None, [frames])],
+            [
+                sys.executable,
+                __file__,
+                "--child",
+                command,
+                method,
+                source,
+                out,
+                *filter(None, [frames]),
+            ],
             env={**os.environ, LAUNCHED: str(time.time())},
             stdout=subprocess.PIPE,
             check=True,
@@ -142,7 +164,9 @@ def profile(command: str, method: str, source: str, frames: str = "") -> dict[st
 
 
 def others(source: str, folder: Path, methods: Sequence[str]) -> None:
-    """Print elapsed and processor seconds of commands on finished runs of two methods, and of a benchmark."""
+    """Print elapsed and processor seconds of commands on finished runs of two methods, and of a
+    benchmark.
+    """
     first, second = (str(folder / method) for method in methods[:2])
     for method in methods[:2]:
         _command("run", method, source, "-o", str(folder / method))
@@ -152,14 +176,26 @@ def others(source: str, folder: Path, methods: Sequence[str]) -> None:
         ("info", first, "--failures"),
         ("compare", first, second, "-o", str(folder / "compare.rrd")),
         ("report", first, "-o", str(folder / "report.html")),
-        ("bench", *(word for method in methods for word in ("-m", method)), "-s", source, "-o", str(folder / "bench")),
+        (
+            "bench",
+            *(word for method in methods for word in ("-m", method)),
+            "-s",
+            source,
+            "-o",
+            str(folder / "bench"),
+        ),
     ):
-        print("| `{}` | {:.2f} / {:.2f} |".format(" ".join(w for w in words if "/" not in w), *_command(*words)))
+        print(
+            "| `{}` | {:.2f} / {:.2f} |".format(
+                " ".join(w for w in words if "/" not in w), *_command(*words)
+            )
+        )
 
 
 def _command(*words: str) -> tuple[float, float]:
     """Elapsed and processor seconds of a command in a process of its own."""
-    begin, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    begin = time.perf_counter()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run([sys.executable, "-m", "dynaviz", *words], stdout=subprocess.DEVNULL, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -179,15 +215,19 @@ def main(source: str | None = None, *methods: str) -> None:
             for command in ("none", "errors", "full", "clean"):
                 profile(command, method, source, "0:2")
                 columns[command] = profile(command, method, source)
-            print(f"\n{method}, elapsed / processor seconds\n\n| step | " + " | ".join(columns) + " |")
+            print(
+                f"\n{method}, elapsed / processor seconds\n\n| step | " + " | ".join(columns) + " |"
+            )
             print("|---" * (1 + len(columns)) + "|")
             for step in dict.fromkeys(step for column in columns.values() for step in column):
                 cells = [
-                    "{:.2f} / {:.2f}".format(*column[step]) if step in column else "" for column in columns.values()
+                    "{:.2f} / {:.2f}".format(*column[step]) if step in column else ""
+                    for column in columns.values()
                 ]
                 print(f"| {step} | " + " | ".join(cells) + " |")
             totals = [
-                "{:.1f} / {:.1f}".format(*map(sum, zip(*each.values(), strict=True))) for each in columns.values()
+                "{:.1f} / {:.1f}".format(*map(sum, zip(*each.values(), strict=True)))
+                for each in columns.values()
             ]
             print("| all | " + " | ".join(totals) + " |", flush=True)
         if len(methods) > 1:

@@ -14,21 +14,30 @@ import dynaviz as dv
 from dynaviz.arrays import F64, Bool
 
 SEQUENCE = "simulate:street_hdl64_real?frames=30"
-WIDTH, HEIGHT = 1600, 620  # pixels of a half, twice the size that is shown
+# pixels of a half, twice the size that is shown
+WIDTH = 1600
+HEIGHT = 620
 DOWN = np.radians(38.0)  # the view
-AROUND, LEAST, MOST = 34.0, -2.5, 7.0  # metres about the middle of the way, and heights
+# metres about the middle of the way, and heights
+AROUND = 34.0
+LEAST = -2.5
+MOST = 7.0
 
 
 def picture(xyz: F64, removed: Bool) -> np.ndarray:
     """(HEIGHT, WIDTH, 3) uint8 BGR: an oblique view, shaded by height; removed points are red."""
-    side, along, up = xyz[:, 1], xyz[:, 0], xyz[:, 2]
+    side = xyz[:, 1]
+    along = xyz[:, 0]
+    up = xyz[:, 2]
     scale = WIDTH / (2 * AROUND)
     column = np.round(WIDTH / 2 + scale * along).astype(int)
     row = np.round(HEIGHT * 0.55 - scale * (side * np.sin(DOWN) + up * np.cos(DOWN))).astype(int)
     near = np.argsort(side * np.cos(DOWN) - up * np.sin(DOWN))[::-1]  # far points first
     inside = near[((column >= 0) & (column < WIDTH - 1) & (row >= 0) & (row < HEIGHT - 1))[near]]
     level = np.clip((up - LEAST) / (MOST - LEAST), 0, 1)
-    shades = cv2.applyColorMap((60 + 150 * level).astype(np.uint8)[:, None], cv2.COLORMAP_BONE)[:, 0]
+    shades = cv2.applyColorMap((60 + 150 * level).astype(np.uint8)[:, None], cv2.COLORMAP_BONE)[
+        :, 0
+    ]
     colours = np.where(removed[:, None], np.array([40, 40, 235], np.uint8), shades)
     drawn = np.full((HEIGHT, WIDTH, 3), 20, np.uint8)
     for chosen in (inside[~removed[inside]], inside[removed[inside]]):
@@ -47,13 +56,23 @@ def main() -> None:
     removed = np.concatenate(list(labels))
     xyz = (points - middle[:3, 3]) @ middle[:3, :3]
     shown = (np.abs(xyz[:, 0]) < AROUND) & (xyz[:, 2] > LEAST) & (xyz[:, 2] < MOST)
-    xyz, removed = xyz[shown], removed[shown]
-    halves = [picture(xyz, removed), picture(xyz[~removed], np.zeros(int((~removed).sum()), np.bool_))]
+    xyz = xyz[shown]
+    removed = removed[shown]
+    halves = [
+        picture(xyz, removed),
+        picture(xyz[~removed], np.zeros(int((~removed).sum()), np.bool_)),
+    ]
     line = np.full((8, WIDTH, 3), 255, np.uint8)
     small = cv2.resize(
-        np.vstack([halves[0], line, halves[1]]), None, fx=0.5625, fy=0.5625, interpolation=cv2.INTER_AREA
+        np.vstack([halves[0], line, halves[1]]),
+        None,
+        fx=0.5625,
+        fy=0.5625,
+        interpolation=cv2.INTER_AREA,
     )
-    cv2.imwrite(str(Path(__file__).with_name("before_after.webp")), small, [cv2.IMWRITE_WEBP_QUALITY, 55])
+    cv2.imwrite(
+        str(Path(__file__).with_name("before_after.webp")), small, [cv2.IMWRITE_WEBP_QUALITY, 55]
+    )
     print(f"removed {removed.sum():,} of {len(removed):,} points")
 
 

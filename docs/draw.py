@@ -2,12 +2,12 @@
 
     python docs/draw.py                      # everything, some minutes
     python docs/draw.py dufomap              # the page of one method
-    python docs/draw.py demo                 # the README, the tutorial and the pages on recordings; needs Chromium
-    python docs/draw.py --numbers [METHOD]   # the numbers without the pictures
+    python docs/draw.py demo                 # the README, the tutorial and the pages on recordings;
+    needs Chromium python docs/draw.py --numbers [METHOD]   # the numbers without the pictures
 
 Simulates its scenes into a temporary folder. Writes the pictures in docs/ and docs/pictures/, and
-docs/methods/measured.json. docs/pictures/drawn.json keeps what the pictures of the demo are drawn from: a test fails
-when that has changed since. Then updates the pages as ``docs/generate.py`` does.
+docs/methods/measured.json. docs/pictures/drawn.json keeps what the pictures of the demo are drawn
+from: a test fails when that has changed since. Then updates the pages as ``docs/generate.py`` does.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ from dynaviz.views.read.shot import shot
 
 DOCS = Path(__file__).resolve().parent
 MEASURED = DOCS / "methods/measured.json"
-SCENE, FRAMES, FRAME = "street_hdl64", 40, 24
+SCENE = "street_hdl64"
+FRAMES = 40
+FRAME = 24
 STATES = {  # the state in a method's picture, and its frame: 24 unless another shows more
     "removert": ("accused", 24),
     "erasor": ("status", 23),  # every fourth scan is compared
@@ -64,7 +66,8 @@ JPEG = [
 
 def main(arguments: list[str]) -> None:
     """Draw and measure the named pages, or all of them."""
-    names, drawn = [word for word in arguments if word != "--numbers"], "--numbers" not in arguments
+    names = [word for word in arguments if word != "--numbers"]
+    drawn = "--numbers" not in arguments
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         known = json.loads(MEASURED.read_text()) if MEASURED.exists() else {"methods": {}}
@@ -91,11 +94,14 @@ def of_method(name: str, sequence: Path, folder: Path, drawn: bool) -> dict[str,
     state, frame = STATES.get(name, (emits[0].name, FRAME))
     if drawn:
         left, right = (picture(recording, folder, frame, view, HALF) for view in ("map", state))
-        both = np.full((max(len(left), len(right)), left.shape[1] + GAP + right.shape[1], 3), 255, np.uint8)
+        both = np.full(
+            (max(len(left), len(right)), left.shape[1] + GAP + right.shape[1], 3), 255, np.uint8
+        )
         both[: len(left), : left.shape[1]] = left
         both[: len(right), -right.shape[1] :] = right
         save(both, f"pictures/{name}.jpg")
-    counts, found = result.counts, result.sections.plain()["failures"]
+    counts = result.counts
+    found = result.sections.plain()["failures"]
     return {
         "metrics": {key: result.metrics[key] for key in ("SA", "DA", "AA")},
         "static": counts["static_kept"] + counts["static_removed"],
@@ -109,7 +115,9 @@ def of_method(name: str, sequence: Path, folder: Path, drawn: bool) -> dict[str,
 def of_demo(folder: Path) -> None:
     """Draw the demo, for the README, the tutorial and the pages on recordings."""
     street = simulate("demo", folder / "demo/street")
-    runs = {name: folder / f"demo-{name}.rrd" for name in ("octomap", "dufomap", "beautymap", "erasor")}
+    runs = {
+        name: folder / f"demo-{name}.rrd" for name in ("octomap", "dufomap", "beautymap", "erasor")
+    }
     for name, recording in runs.items():
         dv.run(name, street, record=recording)
     octomap = runs["octomap"]
@@ -130,27 +138,45 @@ def of_demo(folder: Path) -> None:
 
 
 def overview(measured: dict[str, Any]) -> None:
-    """Collect the states from the pictures of all methods in docs/states.jpg, for docs/methods/index.md."""
+    """Collect the states from the pictures of all methods in docs/states.jpg, for
+    docs/methods/index.md.
+    """
     tiles = []
     for name in generate.methods():
         both = np.asarray(cv2.imread(str(DOCS / f"pictures/{name}.jpg")), np.uint8)
         right = both[:, (both.shape[1] + GAP) // 2 :]
         tile = np.asarray(cv2.resize(right, TILE, interpolation=cv2.INTER_AREA), np.uint8)
         label = f"{name}: {measured[name]['state']}"
-        cv2.putText(tile, label, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.65, (255, 255, 255), 1, cv2.LINE_AA)
+        cv2.putText(
+            tile, label, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.65, (255, 255, 255), 1, cv2.LINE_AA
+        )
         tiles.append(tile)
     tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % TILES)
-    save(np.vstack([np.hstack(tiles[start : start + TILES]) for start in range(0, len(tiles), TILES)]), "states.jpg")
+    save(
+        np.vstack(
+            [np.hstack(tiles[start : start + TILES]) for start in range(0, len(tiles), TILES)]
+        ),
+        "states.jpg",
+    )
 
 
 def picture(
-    recording: Path, folder: Path, frame: int, view: str | None, size: tuple[int, int], case: int | None = None
+    recording: Path,
+    folder: Path,
+    frame: int,
+    view: str | None,
+    size: tuple[int, int],
+    case: int | None = None,
 ) -> U8:
-    """One view of a recording, or the whole window if ``view`` is None: (rows, columns, 3) uint8, BGR.
+    """One view of a recording, or the whole window if ``view`` is None.
+
+    (rows, columns, 3) uint8, BGR.
 
     Shows a case instead of the frame if its number is given.
     """
-    path = shot(recording, folder / "shot.png", (frame,) if case is None else (), view, size, case)[0]
+    path = shot(recording, folder / "shot.png", (frame,) if case is None else (), view, size, case)[
+        0
+    ]
     return np.asarray(cv2.imread(str(path)), np.uint8)
 
 

@@ -1,4 +1,7 @@
-"""Draw the picture of the explorer, docs/explorer.webp: in Chromium, minutes without a graphics card."""
+"""Draw the picture of the explorer, docs/explorer.webp.
+
+In Chromium, minutes without a graphics card.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,12 @@ import numpy as np
 import dynaviz as dv
 
 DOCS = Path(__file__).resolve().parent
-SOFTWARE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--no-sandbox"]
+SOFTWARE = [
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--no-sandbox",
+]
 SIZE = {"width": 1440, "height": 810}  # pixels
 MOST = 300_000  # ms; drawing in software
 QUALITY = 80  # of WebP
@@ -37,9 +45,11 @@ def picture(chromium: Any, url: str) -> bytes:
     page.goto(url)
     page.wait_for_selector("body[data-ready=viewer]")
     page.wait_for_selector("#point .strip")
-    before, now = b"", b"-"
+    before = b""
+    now = b"-"
     while before != now:
         page.wait_for_timeout(2000)
-        before, now = now, page.screenshot()
+        before = now
+        now = page.screenshot()
     page.close()
     return bytes(now)

@@ -1,6 +1,9 @@
-"""What the pictures of the demo are drawn from: colours, layouts and the files of the explorer, as digests.
+"""What the pictures of the demo are drawn from.
 
-``docs/draw.py demo`` keeps the digests next to the pictures, and a test compares them with those of the present code.
+Colours, layouts and the files of the explorer, as digests.
+
+``docs/draw.py demo`` keeps the digests next to the pictures, and a test compares them with those of
+the present code.
 """
 
 from __future__ import annotations
@@ -26,7 +29,12 @@ def digests() -> dict[str, str]:
     """A digest for each source."""
     page = Path(explorer.__file__).with_name("page")
     tracked = dict.fromkeys((paths.CASE_AROUND, paths.CASE_AIM), CIRCLES)
-    run = layout(registry.load("methods", "octomap").info, Extent.of(), True, Findings(cases=True, tracked=tracked))
+    run = layout(
+        registry.load("methods", "octomap").info,
+        Extent.of(),
+        True,
+        Findings(cases=True, tracked=tracked),
+    )
     two = compare_layout.two(("A", "B"), np.zeros((1, 3)), CIRCLES[:1])
     values = {name: value for name, value in vars(colours).items() if name.isupper()}
     sources = {
@@ -42,7 +50,12 @@ def described(part: Any) -> tuple[Any, ...]:
     if hasattr(part, "class_identifier"):
         return part.class_identifier, str(part.name), str(part.origin), str(part.contents)
     shares = [getattr(part, name, None) for name in ("column_shares", "row_shares")]
-    return type(part).__name__, str(part.name), repr(shares), [described(inner) for inner in part.contents]
+    return (
+        type(part).__name__,
+        str(part.name),
+        repr(shares),
+        [described(inner) for inner in part.contents],
+    )
 
 
 def keep() -> None:

@@ -1,7 +1,8 @@
 """Write the generated parts of the pages: what the code knows about each method and protocol.
 
     python docs/generate.py            # bring all pages up to date
-    python docs/generate.py --check    # change nothing; list the pages that are out of date, and exit with 1
+    python docs/generate.py --check    # change nothing; list the pages that are out of date, and
+    exit with 1
 
 A page marks each part with a pair of comments:
 
@@ -9,10 +10,10 @@ A page marks each part with a pair of comments:
     ...
     <!-- end -->
 
-The name is one of SECTIONS on the page of a method (``docs/methods/NAME.md``), or one of TABLES on any page. On a page
-of several methods, a section names its method, as in ``parameters:octomap_gf``. Text outside the markers is never
-touched. A built-in method without a page gets one with every section. ``docs/draw.py`` measures the numbers in
-``failures`` and draws its picture.
+The name is one of SECTIONS on the page of a method (``docs/methods/NAME.md``), or one of TABLES on
+any page. On a page of several methods, a section names its method, as in ``parameters:octomap_gf``.
+Text outside the markers is never touched. A built-in method without a page gets one with every
+section. ``docs/draw.py`` measures the numbers in ``failures`` and draws its picture.
 """
 
 from __future__ import annotations
@@ -45,20 +46,27 @@ WORST = 3  # causes of lost SA or DA on the page of a method
 
 
 def pages() -> dict[Path, str]:
-    """The text that each page with generated parts should have, including pages that do not exist yet.
+    """The text that each page with generated parts should have, including pages that do not exist
+    yet.
 
     Raises:
         ValueError: a page marks a part that nothing generates.
     """
     paths = {*DOCS.rglob("*.md"), *ROOT.glob("*.md"), *ROOT.glob("*/README.md")}
     texts = {path: path.read_text(encoding="utf-8") for path in sorted(paths)}
-    texts |= {page(name): new_page(kind) for name, kind in methods().items() if page(name) not in texts}
+    texts |= {
+        page(name): new_page(kind) for name, kind in methods().items() if page(name) not in texts
+    }
     return {path: filled(text, path) for path, text in texts.items() if BLOCK.search(text)}
 
 
 def stale() -> list[Path]:
     """Pages whose generated parts differ from what the code says now."""
-    return [path for path, text in pages().items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    return [
+        path
+        for path, text in pages().items()
+        if not path.exists() or path.read_text(encoding="utf-8") != text
+    ]
 
 
 def page(name: str) -> Path:
@@ -89,7 +97,9 @@ def filled(text: str, path: Path) -> str:
         elif name in TABLES:
             content = TABLES[name]()
         else:
-            raise ValueError(f"{path.relative_to(ROOT)}: cannot generate {name!r}. Give a section or a table.")
+            raise ValueError(
+                f"{path.relative_to(ROOT)}: cannot generate {name!r}. Give a section or a table."
+            )
         return f"<!-- generated: {name} -->\n\n{content}\n\n<!-- end -->"
 
     return BLOCK.sub(block, text)
@@ -98,7 +108,9 @@ def filled(text: str, path: Path) -> str:
 @cache
 def methods() -> dict[str, Any]:
     """The methods that come with dynaviz, by name."""
-    handles = (handle for handle in registry.handles("methods") if handle.package == "dynaviz_methods")
+    handles = (
+        handle for handle in registry.handles("methods") if handle.package == "dynaviz_methods"
+    )
     return {handle.name: handle.load() for handle in handles}
 
 
@@ -184,8 +196,10 @@ class RealScore:
     def of(cls, cell: dict[str, Any]) -> RealScore:
         """From the counts of a cell."""
         points = np.array([number for _, number in drive_of(cell)["movers"]])
-        removed, (kept, lost) = np.array(cell["removed"]), cell["static"]
-        SA, DA = kept / (kept + lost), removed.sum() / points.sum()
+        removed = np.array(cell["removed"])
+        (kept, lost) = cell["static"]
+        SA = kept / (kept + lost)
+        DA = removed.sum() / points.sum()
         sums = drawn(np.stack([removed, points], 1))
         low, high = interval(100 * np.sqrt(SA * sums[:, 0] / sums[:, 1]))
         found = int((2 * removed >= points).sum())
@@ -202,7 +216,9 @@ class RealScore:
 
 def drive_of(cell: dict[str, Any]) -> dict[str, Any]:
     """The facts of the drive of a cell."""
-    found: dict[str, Any] = next(drive for drive in real()["drives"] if drive["name"] == cell["drive"])
+    found: dict[str, Any] = next(
+        drive for drive in real()["drives"] if drive["name"] == cell["drive"]
+    )
     return found
 
 
@@ -227,60 +243,95 @@ def real_drives() -> str:
         )
         for drive in real()["drives"]
     )
-    return table(("drive", "recorded in", "sensor", "frames", "labelled", "movers", "licence"), rows)
+    return table(
+        ("drive", "recorded in", "sensor", "frames", "labelled", "movers", "licence"), rows
+    )
 
 
 def real_table() -> str:
-    """All cells of benchmarks/real.py: drives and methods by poses, and by parameters if they were searched.
+    """All cells of benchmarks/real.py.
+
+    Drives and methods by poses, and by parameters if they were searched.
 
     Methods with the same scores share a row, and only the first row of a drive names it.
     """
-    rows, searched = [], {(each["drive"], each["method"]) for each in real()["searches"]}
-    head = ("drive", "method", *(f"{words}{tuned}" for tuned in ("", ", tuned") for words in POSES.values()))
+    rows = []
+    searched = {(each["drive"], each["method"]) for each in real()["searches"]}
+    head = (
+        "drive",
+        "method",
+        *(f"{words}{tuned}" for tuned in ("", ", tuned") for words in POSES.values()),
+    )
     for drive in (each["name"] for each in real()["drives"]):
         known = [real_scores(drive, poses, tuned) for tuned in (False, True) for poses in POSES]
         names: dict[tuple[str, ...], list[str]] = {}
         for name in real_scores(drive, "small-gicp"):
             instead = "unproven" if (drive, name) in searched else ""
-            names.setdefault(tuple(str(each.get(name, instead)) for each in known), []).append(f"`{name}`")
+            names.setdefault(tuple(str(each.get(name, instead)) for each in known), []).append(
+                f"`{name}`"
+            )
         firsts = [f"`{drive}`", *[""] * (len(names) - 1)]
-        rows += [(first, ", ".join(each), *cells) for first, (cells, each) in zip(firsts, names.items(), strict=True)]
+        rows += [
+            (first, ", ".join(each), *cells)
+            for first, (cells, each) in zip(firsts, names.items(), strict=True)
+        ]
     return table(head, rows)
 
 
 def real_first() -> str:
-    """On which drives SeeThrough is first, and which method is where it is not; also among tuned methods."""
-    ours, sentences = "seethrough", []
+    """On which drives SeeThrough is first, and which method is where it is not.
+
+    Also among tuned methods.
+    """
+    ours = "seethrough"
+    sentences = []
     tunable = {each["drive"] for each in real()["searches"]}
     for tuned, words in (
         (False, "at default parameters"),
         (True, "each method at its tuned parameters if a search has proven their gain"),
     ):
         drives = [each["name"] for each in real()["drives"] if not tuned or each["name"] in tunable]
-        pairs, others = [(drive, poses) for drive in drives for poses in POSES], []
+        pairs = [(drive, poses) for drive in drives for poses in POSES]
+        others = []
         for drive, poses in pairs:
-            scores = real_scores(drive, poses) | (real_scores(drive, poses, tuned=True) if tuned else {})
+            scores = real_scores(drive, poses) | (
+                real_scores(drive, poses, tuned=True) if tuned else {}
+            )
             best = max(scores, key=lambda name: scores[name].AA)
             if best != ours:
-                behind = f"{methods()[best].info.title} {scores[best].AA:.1f}, SeeThrough {scores[ours].AA:.1f}"
+                behind = (
+                    f"{methods()[best].info.title} {scores[best].AA:.1f}, SeeThrough "
+                    f"{scores[ours].AA:.1f}"
+                )
                 others.append(f"`{drive}` with {POSES[poses]} ({behind})")
-        first = f"Of {len(pairs)} combinations of a drive and its poses, SeeThrough has the highest AA on"
+        first = (
+            f"Of {len(pairs)} combinations of a drive and its poses, SeeThrough has the highest AA "
+            "on"
+        )
         rest = f" It is not first on {'; '.join(others)}." if others else ""
         sentences += [f"{first} {len(pairs) - len(others)}, {words}.{rest}"] if pairs else []
     return " ".join([*sentences, *real_losses()])
 
 
 def real_losses() -> list[str]:
-    """Which methods have a lower AA on true movers with parameters whose gain on implants is proven."""
+    """Which methods have a lower AA on true movers with parameters whose gain on implants is
+    proven.
+    """
     tuned = [cell for cell in real()["cells"] if cell["set"]]
     worse = []
     for cell in tuned:
-        before, after = real_scores(cell["drive"], cell["poses"])[cell["method"]].AA, RealScore.of(cell).AA
+        before = real_scores(cell["drive"], cell["poses"])[cell["method"]].AA
+        after = RealScore.of(cell).AA
         if after < before:
             place = f"on `{cell['drive']}` with {POSES[cell['poses']]}"
-            worse.append(f"{methods()[cell['method']].info.title} {place} ({before:.1f} to {after:.1f})")
+            worse.append(
+                f"{methods()[cell['method']].info.title} {place} ({before:.1f} to {after:.1f})"
+            )
     return (
-        [f"Of {len(tuned)} tuned cells, AA on true movers is lower in {len(worse)}: {'; '.join(worse)}."]
+        [
+            f"Of {len(tuned)} tuned cells, AA on true movers is lower in {len(worse)}: "
+            f"{'; '.join(worse)}."
+        ]
         if worse
         else []
     )
@@ -288,10 +339,17 @@ def real_losses() -> list[str]:
 
 def real_five() -> str:
     """Five methods on the drives with more than a few scans, with estimated poses."""
-    names = [each["name"] for each in real()["drives"] if each["labelled"].startswith("boxes") and each["frames"] > 2]
+    names = [
+        each["name"]
+        for each in real()["drives"]
+        if each["labelled"].startswith("boxes") and each["frames"] > 2
+    ]
     scores = {name: real_scores(name, "small-gicp") for name in names}
     shown = ("erasor", "octomap_gf", "dufomap", "dynablox", "seethrough")
-    rows = ((methods()[name].info.title, *(scores[drive][name].rates for drive in names)) for name in shown)
+    rows = (
+        (methods()[name].info.title, *(scores[drive][name].rates for drive in names))
+        for name in shown
+    )
     return table(("SA / DA / AA", *(name.replace("_", " ") for name in names)), rows)
 
 
@@ -299,14 +357,24 @@ def sampling() -> str:
     """DA of each method by scans that see a place and by rings, on two drives."""
     rows = json.loads(TABLE.read_text(encoding="utf-8"))
     columns = sorted({(row["drive"], -row["rings"], -row["looks"]) for row in rows})
-    head = ("method", *(f"{drive[-4:]}: {-seen} scans, {-rings} rings" for drive, rings, seen in columns))
-    found = {(row["method"], row["drive"], -row["rings"], -row["looks"]): f"{row['DA']:.0f}" for row in rows}
+    head = (
+        "method",
+        *(f"{drive[-4:]}: {-seen} scans, {-rings} rings" for drive, rings, seen in columns),
+    )
+    found = {
+        (row["method"], row["drive"], -row["rings"], -row["looks"]): f"{row['DA']:.0f}"
+        for row in rows
+    }
     names = sorted({row["method"] for row in rows})
-    return table(head, ((f"`{name}`", *(found.get((name, *column), "") for column in columns)) for name in names))
+    return table(
+        head,
+        ((f"`{name}`", *(found.get((name, *column), "") for column in columns)) for name in names),
+    )
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    each.__name__: each for each in (overview, protocols, real_drives, real_table, real_first, real_five, sampling)
+    each.__name__: each
+    for each in (overview, protocols, real_drives, real_table, real_first, real_five, sampling)
 }
 
 
@@ -315,7 +383,10 @@ def facts(kind: Any) -> str:
     info = kind.info
     needs = "needs the raw map before the first scan" if info.needs_map else "needs no prior map"
     file = Path(inspect.getsourcefile(kind) or "").relative_to(ROOT)
-    return f"{info.paper} · {needs} · [`{file}`](../../{file})\n\n```sh\ndynaviz run {info.name} path/to/sequence\n```"
+    return (
+        f"{info.paper} · {needs} · [`{file}`](../../{file})\n\n```sh\ndynaviz run {info.name} "
+        "path/to/sequence\n```"
+    )
 
 
 def algorithm(kind: Any) -> str:
@@ -331,7 +402,9 @@ def parameters(kind: Any) -> str:
     for parent in reversed(kind.Params.__mro__):
         for section in Docstring(inspect.getdoc(parent) or "").parse("google"):
             if isinstance(section, DocstringSectionAttributes):
-                meanings |= {item.name: " ".join(item.description.split()) for item in section.value}
+                meanings |= {
+                    item.name: " ".join(item.description.split()) for item in section.value
+                }
     rows = (
         (f"`{field.name}`", f"`{field.default}`", meanings.get(field.name, ""))
         for field in dataclasses.fields(kind.Params)
@@ -341,12 +414,16 @@ def parameters(kind: Any) -> str:
 
 def reasons(kind: Any) -> str:
     """Why points are kept or removed."""
-    return table(("reason", "meaning"), ((f"`{reason.name}`", reason.meaning) for reason in kind.info.reasons))
+    return table(
+        ("reason", "meaning"),
+        ((f"`{reason.name}`", reason.meaning) for reason in kind.info.reasons),
+    )
 
 
 def failures(kind: Any) -> str:
     """Picture, scores and the costliest causes of wrong points, on the scene of docs/draw.py."""
-    name, known = kind.info.name, measurements()
+    name = kind.info.name
+    known = measurements()
     if name not in known["methods"]:
         return ""
     run = known["methods"][name]
@@ -362,9 +439,14 @@ def failures(kind: Any) -> str:
 
 
 def costs(causes: dict[str, dict[str, dict[str, int]]], kind: str, total: int) -> str:
-    """The costliest causes of one kind of wrong points, with the share of all points that they cost."""
+    """The costliest causes of one kind of wrong points, with the share of all points that they
+    cost.
+    """
     worst = sorted(causes.get(kind, {}).items(), key=lambda cause: -cause[1]["points"])[:WORST]
-    return ", ".join(f"{cause} {100 * counted['points'] / total:.2f} %" for cause, counted in worst) or "nothing"
+    return (
+        ", ".join(f"{cause} {100 * counted['points'] / total:.2f} %" for cause, counted in worst)
+        or "nothing"
+    )
 
 
 SECTIONS: dict[str, Callable[[Any], str]] = {

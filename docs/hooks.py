@@ -1,4 +1,6 @@
-"""What mkdocs needs beyond docs/: READMEs as pages, their links, a page for each method, and formulas.
+"""What mkdocs needs beyond docs/.
+
+READMEs as pages, their links, a page for each method, and formulas.
 
 The generated parts of the pages are committed; ``docs/generate.py`` writes them.
 """
@@ -28,7 +30,11 @@ LINK = re.compile(r"(?<=\]\()(?!https?:|mailto:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Add a fence that turns formulas into MathML, and the methods' pages to the navigation."""
-    fence = {"name": "math", "class": "math", "format": lambda source, *_, **__: convert(source, display="block")}
+    fence = {
+        "name": "math",
+        "class": "math",
+        "format": lambda source, *_, **__: convert(source, display="block"),
+    }
     config.mdx_configs["pymdownx.superfences"] = {"custom_fences": [fence]}
     entry = next(item["Methods"] for item in config.nav or [] if "Methods" in item)
     entry[1:1] = dict.fromkeys(f"methods/{generate.page(name).name}" for name in generate.methods())
@@ -38,7 +44,9 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the READMEs, and a generated page for each built-in method that has none."""
     for source, page in BROUGHT.items():
-        files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
+        files.append(
+            File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8"))
+        )
     for name, kind in generate.methods().items():
         page = f"methods/{generate.page(name).name}"
         if files.get_file_from_path(page) is None:
@@ -54,7 +62,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def relinked(markdown: str, home: str, uri: str, files: Files) -> str:
-    """Turn links between files of the repository into links between pages; drop links to files without a page.
+    """Turn links between files of the repository into links between pages.
+
+    Drop links to files without a page.
 
     Args:
         markdown: a page.
@@ -67,7 +77,11 @@ def relinked(markdown: str, home: str, uri: str, files: Files) -> str:
         target = posixpath.normpath(posixpath.join(posixpath.dirname(home), found[1]))
         page = BROUGHT.get(target) or target.removeprefix("docs/")
         known = files.get_file_from_path(page) if target in BROUGHT or page != target else None
-        return posixpath.relpath(page, posixpath.dirname(uri) or ".") + (found[2] or "") if known else ABSENT
+        return (
+            posixpath.relpath(page, posixpath.dirname(uri) or ".") + (found[2] or "")
+            if known
+            else ABSENT
+        )
 
     ABSENT = "\0"
     linked = LINK.sub(moved, markdown)

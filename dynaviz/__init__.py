@@ -57,7 +57,9 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:  # loaded when first used, so that `dynaviz --help` answers at once
+def __getattr__(
+    name: str,
+) -> Any:  # loaded when first used, so that `dynaviz --help` answers at once
     if name == "__version__":
         return importlib.metadata.version("dynaviz")
     if name not in _HOMES:

@@ -1,4 +1,7 @@
-"""The Python interface, which the command line uses, too: open a sequence, run a method on it, score a map, compare."""
+"""The Python interface, which the command line uses, too.
+
+Open a sequence, run a method on it, score a map, compare.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,14 @@ def open(path: Source, **options: Unpack[SequenceKeywords]) -> OpenedSequence:
     """Open a sequence of any known format.
 
     Args:
-        path: a folder or a bag. The format is detected; a prefix forces it (``semantickitti:PATH``). A list of
-            paths opens several drives in one world frame as one sequence. Or a list of ``(points, pose)`` or
-            ``(points, pose, stamp)``: (N, 3 or more) metres in the sensor frame, (4, 4), ns. Or an open sequence, of
-            which frames are selected.
-        options: ``frames``, ``stride``, ``sensor``, ``poses``, ``points_in``, ``deskew``, ``extrinsic`` and
-            ``refine_poses``, as ``dynaviz.sources.options.SequenceOptions`` describes them.
+        path: a folder or a bag. The format is detected; a prefix forces it
+            (``semantickitti:PATH``). A list of paths opens several drives in one world frame as one
+            sequence. Or a list of ``(points, pose)`` or ``(points, pose, stamp)``: (N, 3 or more)
+            metres in the sensor frame, (4, 4), ns. Or an open sequence, of which frames are
+            selected.
+        options: ``frames``, ``stride``, ``sensor``, ``poses``, ``points_in``, ``deskew``,
+            ``extrinsic`` and ``refine_poses``, as ``dynaviz.sources.options.SequenceOptions``
+            describes them.
 
     Raises:
         DataError: if the path contains no known format.
@@ -53,23 +58,31 @@ def run(
         out: folder for the files of the run; None writes none.
         command: what the user typed, for the record.
         progress: called with a phase, the number of frames or tiles done and their total.
-        options: how to open the sequence, as for ``dynaviz.open``, and how to run the method: ``preset``, ``config``,
-            ``settings``, ``online``, ``seed``, ``variant``, ``threads``, ``record``, ``record_budget``, ``view``,
-            ``tiles``, ``workers``, ``scheduler`` and ``maps``, as ``dynaviz.runs.options.RunOptions`` describes them.
+        options: how to open the sequence, as for ``dynaviz.open``, and how to run the method:
+            ``preset``, ``config``, ``settings``, ``online``, ``seed``, ``variant``, ``threads``,
+            ``record``, ``record_budget``, ``view``, ``tiles``, ``workers``, ``scheduler`` and
+            ``maps``, as ``dynaviz.runs.options.RunOptions`` describes them.
 
     Returns:
         The result; printing it shows a table.
 
     Raises:
-        UsageError: for an unknown method, an invalid parameter or record mode, or options of opening that an open
-            sequence cannot take.
-        DataError: for data that cannot be read, files that cannot be written, or a folder that another process writes
-            into.
+        UsageError: for an unknown method, an invalid parameter or record mode, or options of
+            opening that an open sequence cannot take.
+        DataError: for data that cannot be read, files that cannot be written, or a folder that
+            another process writes into.
     """
-    folder, (opening, running) = None if out is None else Path(out), split(options)
+    folder = None if out is None else Path(out)
+    (opening, running) = split(options)
     opened = open_source(sequence, opening.without_refinement, folder=folder, progress=progress)
     return run_method(
-        method, opened, running, out=folder, refine_poses=opening.refine_poses, command=command, progress=progress
+        method,
+        opened,
+        running,
+        out=folder,
+        refine_poses=opening.refine_poses,
+        command=command,
+        progress=progress,
     )
 
 
@@ -89,14 +102,16 @@ def score(
 ) -> Result:
     """Score what another program wrote: a cleaned map, or labels of each scan.
 
-    A point of the sequence counts as removed if the nearest point of the map is farther than the radius, or if its
-    label says so. Anything unusual raises a warning, and is listed in the section ``source`` under ``remarks``.
+    A point of the sequence counts as removed if the nearest point of the map is farther than the
+    radius, or if its label says so. Anything unusual raises a warning, and is listed in the section
+    ``source`` under ``remarks``.
 
     Args:
-        map: the cleaned map (PCD, PLY, LAS, LAZ, NPY), in metres, in the world frame of the sequence; or a folder with
-            labels of each scan (``000000.label``, ``.npy`` or ``.npz``, ``dynaviz.io.scan_labels``), directly, in
-            ``predictions`` or in ``sequences/NN/predictions``; or a run's folder or ``labels.npz``. Scans without a
-            label file are not scored.
+        map: the cleaned map (PCD, PLY, LAS, LAZ, NPY), in metres, in the world frame of the
+            sequence; or a folder with labels of each scan (``000000.label``, ``.npy`` or ``.npz``,
+            ``dynaviz.io.scan_labels``), directly, in ``predictions`` or in
+            ``sequences/NN/predictions``; or a run's folder or ``labels.npz``. Scans without a label
+            file are not scored.
         sequence: an open sequence with ground truth, or a path.
         radius: metres; for a map.
         name: for tables and recordings; by default the name of the file or folder, without suffix.
@@ -109,24 +124,32 @@ def score(
         options: how to open the sequence, as for ``dynaviz.open``.
 
     Returns:
-        The result, with ``scoring`` ``nn`` (``mask`` for labels), without runtime, and with a section ``source``.
+        The result, with ``scoring`` ``nn`` (``mask`` for labels), without runtime, and with a
+        section ``source``.
 
     Raises:
-        UsageError: for a sequence without ground truth, an invalid radius, name or key, or an ``out`` whose files would
-            overwrite the map or labels.
-        DataError: for data that cannot be read, a map without points, labels of another sequence or for another number
-            of points, or files that cannot be written.
+        UsageError: for a sequence without ground truth, an invalid radius, name or key, or an
+            ``out`` whose files would overwrite the map or labels.
+        DataError: for data that cannot be read, a map without points, labels of another sequence or
+            for another number of points, or files that cannot be written.
     """
     folder = None if out is None else Path(out)
     opened = open_source(sequence, SequenceOptions.of(**options), folder=folder, progress=progress)
     if not opened.has_labels:
         raise UsageError(
             f"{opened.name} has no ground truth, so nothing can be scored on it. "
-            "Give a sequence with labels: gt_cloud.pcd, labels/*.label or label_02/*.txt (see 'dynaviz info SEQ')"
+            "Give a sequence with labels: gt_cloud.pcd, labels/*.label or label_02/*.txt (see "
+            "'dynaviz info SEQ')"
         )
     external = read_external(map, opened, radius=radius, name=name, key=key)
     result = score_external(
-        external, opened, out=folder, record=record, threads=threads, command=command, progress=progress
+        external,
+        opened,
+        out=folder,
+        record=record,
+        threads=threads,
+        command=command,
+        progress=progress,
     )
     for remark in result.sections.source.remarks if result.sections.source else ():
         warnings.warn(remark, stacklevel=2)

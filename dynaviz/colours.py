@@ -1,9 +1,11 @@
-"""Colours with a fixed meaning, in recordings, plots and reports. One hue has one meaning everywhere.
+"""Colours with a fixed meaning, in recordings, plots and reports.
 
-Two shades per meaning: ``BRIGHT`` for points and boxes on the dark background of 3D views and maps, ``FIRM`` for curves
-and bars on a page that may be white or black. Orange always is a ghost (a dynamic point that was kept), yellow a hole
-(a static point that was removed), blue a dynamic point that was removed, grey a static point that was kept, pink a
-removed point without ground truth.
+One hue has one meaning everywhere.
+
+Two shades per meaning: ``BRIGHT`` for points and boxes on the dark background of 3D views and maps,
+``FIRM`` for curves and bars on a page that may be white or black. Orange always is a ghost (a
+dynamic point that was kept), yellow a hole (a static point that was removed), blue a dynamic point
+that was removed, grey a static point that was kept, pink a removed point without ground truth.
 """
 
 from __future__ import annotations
@@ -15,7 +17,12 @@ from dynaviz.contracts.scan import Outcome
 Colour = tuple[int, int, int]  # RGB, 0 to 255
 
 BACKGROUND: Colour = (18, 20, 26)  # of 3D views and maps, in every theme
-LABEL: Colour = (255, 255, 255)  # text in 3D views: its plate is dark grey in the dark theme, otherwise mid-grey
+# text in 3D views: its plate is dark grey in the dark theme, otherwise mid-grey
+LABEL: Colour = (
+    255,
+    255,
+    255,
+)
 NEUTRAL: Colour = (135, 135, 140)  # marks without a meaning of their own, on white and on black
 
 BRIGHT: dict[Outcome, Colour] = {
@@ -64,12 +71,16 @@ METHODS: dict[str, Colour] = {  # permanent: a method has the same colour in eve
 
 
 OTHERS: tuple[Colour, ...] = (
-    (0, 140, 140), (140, 95, 50), (60, 150, 60), (90, 125, 155), (150, 105, 205), (190, 100, 120), (10, 122, 191),
+    (0, 140, 140), (140, 95, 50), (60, 150, 60), (90, 125, 155), (150, 105, 205), (190, 100, 120),
+    (10, 122, 191),
     (125, 125, 60),
 )  # fmt: skip
 
 
-HIT, CROSSED, GRAZED = 1, 2, 3  # classes of rays
+# classes of rays
+HIT = 1
+CROSSED = 2
+GRAZED = 3
 RAYS: dict[int, Colour] = {HIT: (60, 205, 140), CROSSED: (180, 80, 255), GRAZED: (120, 40, 140)}
 SPANS: dict[str, Colour] = {  # states of an object over time
     "moving": (235, 235, 235),
@@ -79,7 +90,9 @@ SPANS: dict[str, Colour] = {  # states of an object over time
     "partly": (255, 205, 160),  # pale orange
 }
 STATE: Colour = (0, 175, 155)  # of a state without values or classes
-CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of its legend; none is that of an outcome
+CLASSES: tuple[
+    Colour, ...
+] = (  # classes of a method's state, in the order of its legend; none is that of an outcome
     (118, 118, 126),
     STATE,
     (225, 80, 180),
@@ -95,22 +108,30 @@ def method_colour(name: str) -> Colour:
     """The colour of a method, the same in every figure, on white and on black.
 
     Args:
-        name: of the method, as on the command line. The checksum of an unknown name picks one of ``OTHERS``; two
-            unknown methods may share it, so give them different markers.
+        name: of the method, as on the command line. The checksum of an unknown name picks one of
+            ``OTHERS``; two unknown methods may share it, so give them different markers.
     """
     return METHODS.get(name) or OTHERS[zlib.crc32(name.encode()) % len(OTHERS)]
 
 
 def span_colours(ghost: bool) -> dict[str, Colour]:
-    """The colours of states over time; ``kept`` and ``removed`` as for points of an object (``ghost``) or a place."""
+    """The colours of states over time.
+
+    ``kept`` and ``removed`` as for points of an object (``ghost``) or a place.
+    """
     kept, removed = (
-        (Outcome.FALSE_NEGATIVE, Outcome.DYNAMIC_REMOVED) if ghost else (Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE)
+        (Outcome.FALSE_NEGATIVE, Outcome.DYNAMIC_REMOVED)
+        if ghost
+        else (Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE)
     )
     return {**SPANS, "kept": BRIGHT[kept], "removed": BRIGHT[removed]}
 
 
 def shade(colour: Colour, name: str) -> Colour:
-    """A darker or lighter shade of a colour, by the checksum of a name: for curves of the same meaning."""
+    """A darker or lighter shade of a colour, by the checksum of a name.
+
+    For curves of the same meaning.
+    """
     factor = (0.72, 0.9, 1.1, 1.3)[zlib.crc32(name.encode()) % 4]
     red, green, blue = (min(255, round(factor * part)) for part in colour)
     return red, green, blue

@@ -1,4 +1,7 @@
-"""Errors caused by input or usage. Each message is one line: what happened, where, and what to do next."""
+"""Errors caused by input or usage. Each message is one line.
+
+What happened, where, and what to do next.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,17 @@ from collections.abc import Iterator
 _MAX_LENGTH = 2000  # characters
 _commands = False  # whether the reader typed a command; in all threads
 
-# Options of the command line that are arguments of the Python functions as well, with or without a value.
+# Options of the command line that are arguments of the Python functions as well, with or without a
+# value.
 _WITH_VALUE = (
-    "frames|stride|sensor|poses|points-in|extrinsic|region|voxel-size|tiles|workers|scheduler|keep-dynamic|preset|config"
-    "|seed|threads|record|record-budget|key|radius"
+    "frames|stride|sensor|poses|points-in|extrinsic|region|voxel-size|tiles|workers|scheduler"
+    "|keep-dynamic|preset|config|seed|threads|record|record-budget|key|radius"
 )
 _SWITCHES = "deskew|refine-poses|mark|drop-unposed|online"
-_VALUES = r"small-gicp|kiss-icp|sensor|world|autoware|none|errors|(?=[^\s()]*[A-Z\d/.:#|])[^\s()]*[^\s().,:;']"
+_VALUES = (
+    "small-gicp|kiss-icp|sensor|world|autoware|none|errors"
+    r"|(?=[^\s()]*[A-Z\d/.:#|])[^\s()]*[^\s().,:;']"
+)
 _OPTION = re.compile(
     rf"--(?:(?P<off>no-)?(?P<switch>{_SWITCHES})"
     r"|set (?P<parameter>\w+)=(?P<setting>[\w.-]*\w)"
@@ -26,9 +33,13 @@ _OPTION = re.compile(
 
 @contextlib.contextmanager
 def on_command_line() -> Iterator[None]:
-    """Within it, texts name options as the command line has them; otherwise as arguments of Python functions."""
+    """Within it, texts name options as the command line has them.
+
+    Otherwise as arguments of Python functions.
+    """
     global _commands
-    before, _commands = _commands, True
+    before = _commands
+    _commands = True
     try:
         yield
     finally:
@@ -36,7 +47,10 @@ def on_command_line() -> Iterator[None]:
 
 
 def addressed(text: str) -> str:
-    """A text for the user who reads it: in Python, ``--points-in world`` becomes ``points_in="world"``."""
+    """A text for the user who reads it.
+
+    In Python, ``--points-in world`` becomes ``points_in="world"``.
+    """
     return text if _commands else _OPTION.sub(_argument, text)
 
 
@@ -45,7 +59,8 @@ def _argument(option: re.Match[str]) -> str:
         return f"{option['switch'].replace('-', '_')}={not option['off']}"
     if option["parameter"]:
         return f'settings={{"{option["parameter"]}": {option["setting"]}}}'
-    name, value = option["name"].replace("-", "_"), option["value"]
+    name = option["name"].replace("-", "_")
+    value = option["value"]
     if value is None:
         return name
     plain = re.fullmatch(r"[A-Z_|]+|\d+(\.\d+)?", value)  # a placeholder or a number
@@ -53,15 +68,20 @@ def _argument(option: re.Match[str]) -> str:
 
 
 class DynavizError(Exception):
-    """Base of all errors caused by input or usage; the command line prints the message and exits with code 2.
+    """Base of all errors caused by input or usage.
 
-    The message is one line of limited length. Control characters, for example from a file's content, are escaped.
+    The command line prints the message and exits with code 2.
+
+    The message is one line of limited length. Control characters, for example from a file's
+    content, are escaped.
     """
 
     def __init__(self, message: str = "") -> None:
         if len(message) > _MAX_LENGTH:
             message = f"{message[: _MAX_LENGTH // 2]} ... {message[-_MAX_LENGTH // 2 :]}"
-        super().__init__("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message))
+        super().__init__(
+            "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
+        )
 
     def __str__(self) -> str:
         return addressed(super().__str__())
@@ -83,8 +103,18 @@ class DataError(DynavizError):
         hint: what to do next, a sentence without a full stop.
     """
 
-    def __init__(self, path: str | os.PathLike[str], problem: str, *, at: str | None = None, hint: str | None = None):
-        self.path, self.problem, self.at, self.hint = os.fspath(path), problem, at, hint
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        problem: str,
+        *,
+        at: str | None = None,
+        hint: str | None = None,
+    ):
+        self.path = os.fspath(path)
+        self.problem = problem
+        self.at = at
+        self.hint = hint
         place = self.path if at is None else f"{self.path}, {at}"
         super().__init__(f"{place}: {problem}." + (f" {hint}." if hint else ""))
 
@@ -102,7 +132,10 @@ class MissingDependency(DynavizError):
 
 
 def interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error; extension modules report it as an ImportError if it arrives while they load."""
+    """Whether Ctrl-C caused an error.
+
+    Extension modules report it as an ImportError if it arrives while they load.
+    """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

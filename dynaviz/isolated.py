@@ -1,7 +1,8 @@
-"""Commands that read recordings run in a child process, so that the crash of a library gives one line.
+"""Commands that read recordings run in a child process, so that the crash of a library gives one
+line.
 
-Rerun and Arrow are compiled, and a damaged file can make them abort the whole process, which no ``except`` catches.
-``viz/chunks.py`` refuses such files before, but no such check is complete.
+Rerun and Arrow are compiled, and a damaged file can make them abort the whole process, which no
+``except`` catches. ``viz/chunks.py`` refuses such files before, but no such check is complete.
 """
 
 from __future__ import annotations
@@ -54,7 +55,10 @@ def run(command: Callable[[], None], words: Sequence[str]) -> None:
 
 
 def without_pandas() -> None:
-    """Arrow imports pandas before it converts its first array, for 0.15 s and 25 MB; tell it that there is none."""
+    """Arrow imports pandas before it converts its first array, for 0.15 s and 25 MB.
+
+    Tell it that there is none.
+    """
     if "pandas" not in sys.modules:
         import pyarrow
 
@@ -75,17 +79,24 @@ class _Absent:
 
 
 def _reads(words: Sequence[str]) -> bool:
-    """Whether a command reads recordings and ends on its own; ``view`` does if it renders pictures."""
+    """Whether a command reads recordings and ends on its own.
+
+    ``view`` does if it renders pictures.
+    """
     pictures = any(word.startswith(("-o", "--out", "--clip")) for word in words)
     return bool(words) and (words[0] in READING or (words[0] == "view" and pictures))
 
 
 def _begin(messages: IO[bytes]) -> None:
-    """In the child: libraries print to a file, so that their last words before a crash can be left out."""
+    """In the child: libraries print to a file, so that their last words before a crash can be left
+    out.
+    """
     with contextlib.suppress(OSError, AttributeError):  # only Linux has this
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
     with contextlib.suppress(OSError, AttributeError):  # standard error may be closed
-        to_user = os.fdopen(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)
+        to_user = os.fdopen(
+            os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors
+        )
         os.dup2(messages.fileno(), 2)
         sys.stderr = sys.__stderr__ = to_user  # type: ignore[misc]
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)

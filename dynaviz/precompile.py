@@ -1,4 +1,7 @@
-"""Compile kernels before their first use: ``python -m dynaviz.precompile``, with ``--all`` those of all methods."""
+"""Compile kernels before their first use.
+
+``python -m dynaviz.precompile``, with ``--all`` those of all methods.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,18 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 _SPAWN = multiprocessing.get_context("spawn")
-LATE = ("freedom", "hmm_mos")  # methods that the demo leaves out, to stay short; compiled on first use
+# methods that the demo leaves out, to stay short; compiled on first use
+LATE = (
+    "freedom",
+    "hmm_mos",
+)
 
 
 @contextlib.contextmanager
 def compiling(late: Collection[str] = LATE) -> Iterator[None]:
-    """Compile the kernels on all cores in the background if none are compiled yet; one core would take minutes.
+    """Compile the kernels on all cores in the background if none are compiled yet.
+
+    One core would take minutes.
 
     Args:
         late: names of methods to leave out.
@@ -30,7 +39,9 @@ def compiling(late: Collection[str] = LATE) -> Iterator[None]:
         yield
         return
     print(kernels.COMPILING, file=sys.stderr, flush=True)
-    families: dict[str, list[str]] = {}  # methods of one file share kernels; two cores would compile these twice
+    families: dict[
+        str, list[str]
+    ] = {}  # methods of one file share kernels; two cores would compile these twice
     for handle in registry.handles("methods"):
         if handle.name in late:
             continue
@@ -45,9 +56,11 @@ def compiling(late: Collection[str] = LATE) -> Iterator[None]:
 
 @contextlib.contextmanager
 def compiling_the_rest() -> Iterator[None]:
-    """Compile on another core what casts rays, joins, scores and records, while this process runs a method.
+    """Compile on another core what casts rays, joins, scores and records, while this process runs a
+    method.
 
-    Nothing happens if any kernel is compiled already. The other process ends with this block at the latest.
+    Nothing happens if any kernel is compiled already. The other process ends with this block at the
+    latest.
     """
     from dynaviz import kernels
 
@@ -73,19 +86,31 @@ def _label(names: list[str]) -> None:
     with contextlib.redirect_stderr(io.StringIO()):
         for name in names:
             method = registry.load("methods", name)
-            execute(RunSpec(method(method.Params()), InMemory(crossing(9)), method.Params()), probe=MemoryProbe())
+            execute(
+                RunSpec(method(method.Params()), InMemory(crossing(9)), method.Params()),
+                probe=MemoryProbe(),
+            )
 
 
 def _the_rest() -> None:
-    """Compile until SIGTERM, which lets this process remove its files; errors occur again where kernels are used."""
+    """Compile until SIGTERM, which lets this process remove its files.
+
+    Errors occur again where kernels are used.
+    """
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    with contextlib.suppress(Exception, KeyboardInterrupt), contextlib.redirect_stderr(io.StringIO()):
+    with (
+        contextlib.suppress(Exception, KeyboardInterrupt),
+        contextlib.redirect_stderr(io.StringIO()),
+    ):
         _cast()
         _score()
 
 
 def _cast() -> None:
-    """Cast the rays of a scan, count its voxels and join its points: kernels that compile for long and come late."""
+    """Cast the rays of a scan, count its voxels and join its points.
+
+    Kernels that compile for long and come late.
+    """
     import numpy as np
 
     from dynaviz import kernels
@@ -95,10 +120,13 @@ def _cast() -> None:
     from dynaviz.testing import crossing
 
     (scan,) = crossing(1)
-    grid, chosen = BlockGrid(Extent.of(scan), 0.2), all_finite(scan.points)
+    grid = BlockGrid(Extent.of(scan), 0.2)
+    chosen = all_finite(scan.points)
     marks = grid.mark(scan, chosen, chosen)
     near = kernels.clearance.grown(
-        np.zeros((len(marks.blocks) + 1, 8), np.uint64), np.zeros((len(marks.blocks), 6), np.int32), 1
+        np.zeros((len(marks.blocks) + 1, 8), np.uint64),
+        np.zeros((len(marks.blocks), 6), np.int32),
+        1,
     )
     counts = [np.zeros((len(grid) + 1, VOXELS), np.uint16) for _ in range(3)]
     kernels.clearance.count(marks.blocks, marks.bits, near, *counts)
@@ -111,7 +139,8 @@ def _cast() -> None:
 def _score() -> None:
     """Record, then score and record a map that lacks half of the points.
 
-    Runs score first. In the other order, two processes would reach the same kernel, and compile all later ones twice.
+    Runs score first. In the other order, two processes would reach the same kernel, and compile all
+    later ones twice.
     """
     import numpy as np
 

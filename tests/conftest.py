@@ -19,11 +19,13 @@ from helpers.worlds import InMemory, room
 from dynaviz.cli import main
 from dynaviz.contracts import registry
 
-# The threads of OpenMP must not spin while they wait: each pytest-xdist worker has as many of them as there are cores.
-# Read when numba loads its threading layer, and inherited by subprocesses.
+# The threads of OpenMP must not spin while they wait: each pytest-xdist worker has as many of them
+# as there are cores. Read when numba loads its threading layer, and inherited by subprocesses.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-hypothesis.settings.register_profile("patient", deadline=None, max_examples=50)  # the first call may compile a kernel
+hypothesis.settings.register_profile(
+    "patient", deadline=None, max_examples=50
+)  # the first call may compile a kernel
 hypothesis.settings.load_profile("patient")
 
 if (
@@ -33,7 +35,9 @@ if (
 
 
 def pytest_collection_finish() -> None:
-    """Exempt what the imports made from garbage collection, which would look at all of it again and again."""
+    """Exempt what the imports made from garbage collection, which would look at all of it again and
+    again.
+    """
     gc.collect()
     gc.freeze()
 
@@ -53,7 +57,9 @@ def broken_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def handles(kind: str) -> list[registry.PluginHandle]:
         return [
-            registry.PluginHandle(kind, "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0"),
+            registry.PluginHandle(
+                kind, "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0"
+            ),
             *every(kind),
         ]
 
@@ -78,7 +84,10 @@ def run_command(
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder with real data and golden labels; tests that need it are skipped if it is absent."""
+    """The folder with real data and golden labels.
+
+    Tests that need it are skipped if it is absent.
+    """
     if not SHARED.is_dir():
         pytest.skip(f"needs the real data in {SHARED.name}/ next to the checkout")
     return SHARED
@@ -86,7 +95,10 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def real_data(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The real data in the native layout of each data set, unpacked once for all runs. Tests do not write there."""
+    """The real data in the native layout of each data set, unpacked once for all runs.
+
+    Tests do not write there.
+    """
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         base = base.parent

@@ -1,10 +1,12 @@
-"""Change the code in one place at a time and list the changes that no test notices (see tests/README.md).
+"""Change the code in one place at a time and list the changes that no test notices (see
+tests/README.md).
 
     python tests/mutants.py [PATH ...] [--sample N]
 
-A path is a module, or a folder with modules, which share the sample; without any, the modules of the metrics. Its tests
-are those of the suite of the same place. Each mutant runs in a forked process; no file is changed. Texts, types and
-arguments that only guard are not mutated, nor are kernels, which numba compiles from their files.
+A path is a module, or a folder with modules, which share the sample; without any, the modules of
+the metrics. Its tests are those of the suite of the same place. Each mutant runs in a forked
+process; no file is changed. Texts, types and arguments that only guard are not mutated, nor are
+kernels, which numba compiles from their files.
 """
 
 import argparse
@@ -35,12 +37,21 @@ METRICS = (
 SECONDS = 300  # a mutant may loop forever
 GUARDS = {"strict", "frozen", "slots", "eq", "assume_unique"}
 SWAPS = {
-    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And,
-    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Pow: ast.Mult,
-    ast.Mod: ast.Mult, ast.LShift: ast.RShift, ast.RShift: ast.LShift, ast.BitOr: ast.BitAnd, ast.BitAnd: ast.BitOr,
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or,
+    ast.Or: ast.And,
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult, ast.Pow: ast.Mult,
+    ast.Mod: ast.Mult, ast.LShift: ast.RShift, ast.RShift: ast.LShift, ast.BitOr: ast.BitAnd,
+    ast.BitAnd: ast.BitOr,
 }  # fmt: skip
-PROFILE = {"deadline": None, "database": None, "derandomize": True, "phases": tuple(hypothesis.Phase)[:3]}
+PROFILE = {
+    "deadline": None,
+    "database": None,
+    "derandomize": True,
+    "phases": tuple(hypothesis.Phase)[:3],
+}
 FLAGS = (
     *("-xq", "-mnot slow", "-pno:cacheprovider", "-Wignore::pytest.PytestAssertRewriteWarning"),
     "--hypothesis-profile=mutants",
@@ -67,16 +78,24 @@ def changes(node: ast.AST) -> Iterator[tuple[str, str, object]]:
     block = node.body if isinstance(node, ast.FunctionDef | ast.If | ast.For | ast.While) else []
     for i, statement in enumerate(block):
         call = isinstance(statement, ast.Expr) and not isinstance(statement.value, ast.Constant)
-        stored = isinstance(statement, ast.Assign) and not isinstance(statement.targets[0], ast.Name | ast.Tuple)
+        stored = isinstance(statement, ast.Assign) and not isinstance(
+            statement.targets[0], ast.Name | ast.Tuple
+        )
         if call or stored or isinstance(statement, ast.AugAssign | ast.Continue):
-            yield "statement", "body", [*block[:i], ast.copy_location(ast.Pass(), statement), *block[i + 1 :]]
+            yield (
+                "statement",
+                "body",
+                [*block[:i], ast.copy_location(ast.Pass(), statement), *block[i + 1 :]],
+            )
 
 
 def mutants(tree: ast.Module) -> Iterator[tuple[str, ast.Module]]:
     """Kind and tree of every mutant."""
     parts = list(ast.walk(tree))
     aside = [n.value for n in parts if isinstance(n, ast.keyword) and n.arg in GUARDS]
-    aside += [t for n in parts for t in (getattr(n, "annotation", None), getattr(n, "returns", None)) if t]
+    aside += [
+        t for n in parts for t in (getattr(n, "annotation", None), getattr(n, "returns", None)) if t
+    ]
     never = {part for each in aside for part in ast.walk(each)}
     for number, node in enumerate(parts):
         for kind, field, value in () if node in never else changes(node):
@@ -90,7 +109,11 @@ class Mutated(SourceFileLoader):
 
     def __init__(self, path: Path, mutant: ast.Module) -> None:
         self.code = compile(mutant, str(path), "exec")
-        package = path.relative_to(ROOT).with_suffix("").parts[path.relative_to(ROOT).parts[0] != "dynaviz" :]
+        package = (
+            path.relative_to(ROOT)
+            .with_suffix("")
+            .parts[path.relative_to(ROOT).parts[0] != "dynaviz" :]
+        )
         super().__init__(".".join(package).removesuffix(".__init__"), str(path))
 
     def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
@@ -118,22 +141,33 @@ def survives(path: Path, mutant: ast.Module) -> bool:
         sys.meta_path.insert(0, Mutated(path, mutant))
         own = sorted(suite(path).glob(f"test_{path.stem}.py"))
         aside = {*own, TESTS / "eval/test_report.py", TESTS / "eval/test_published.py"}
-        failed = pytest.main([*FLAGS, *map(str, (*own, *sorted(set(suite(path).glob("test_*.py")) - aside)))])
+        failed = pytest.main(
+            [*FLAGS, *map(str, (*own, *sorted(set(suite(path).glob("test_*.py")) - aside)))]
+        )
     finally:
         os._exit(int(failed))
 
 
 def main() -> None:
     """Try all mutants, or a sample, and print the survivors."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     metrics = [ROOT / f"eval/dynaviz_eval/{name}.py" for name in METRICS]
     parser.add_argument("paths", nargs="*", default=metrics, metavar="PATH", type=Path)
-    parser.add_argument("--sample", type=int, default=sys.maxsize, metavar="N", help="try at most N mutants per path")
+    parser.add_argument(
+        "--sample",
+        type=int,
+        default=sys.maxsize,
+        metavar="N",
+        help="try at most N mutants per path",
+    )
     options = parser.parse_args()
     hypothesis.settings.register_profile("mutants", **PROFILE)
     for given in map(Path.absolute, options.paths):
         trees = {
-            path: ast.parse(path.read_text()) for path in sorted(given.rglob("*.py") if given.is_dir() else [given])
+            path: ast.parse(path.read_text())
+            for path in sorted(given.rglob("*.py") if given.is_dir() else [given])
         }
         some, tree = next(iter(trees.items()))
         if not survives(some, tree):
@@ -145,10 +179,22 @@ def main() -> None:
             tried[kind] += 1
             killed[kind] += not (left := survives(path, mutant))
             if left:
-                pairs = zip(*(ast.unparse(each).splitlines() for each in (trees[path], mutant)), strict=False)
-                print(f"{path.stem}: {kind}", *next(p for p in pairs if p[0] != p[1]), sep="\n    ", flush=True)
-        by_kind = ", ".join(f"{kind} {killed[kind]} of {count}" for kind, count in sorted(tried.items()))
-        what = f"{given.stem}: {killed.total()} of {tried.total()} killed by tests/{suite(some).name}"
+                pairs = zip(
+                    *(ast.unparse(each).splitlines() for each in (trees[path], mutant)),
+                    strict=False,
+                )
+                print(
+                    f"{path.stem}: {kind}",
+                    *next(p for p in pairs if p[0] != p[1]),
+                    sep="\n    ",
+                    flush=True,
+                )
+        by_kind = ", ".join(
+            f"{kind} {killed[kind]} of {count}" for kind, count in sorted(tried.items())
+        )
+        what = (
+            f"{given.stem}: {killed.total()} of {tried.total()} killed by tests/{suite(some).name}"
+        )
         print(f"{what} ({by_kind}); {len(every)} in total", flush=True)
 
 

@@ -1,4 +1,5 @@
-"""Write the seconds of each suite, the faults that it found, and the slowest hundred tests to ``seconds.csv``.
+"""Write the seconds of each suite, the faults that it found, and the slowest hundred tests to
+``seconds.csv``.
 
 pytest -n 2 -m "not slow" --junitxml=build/junit.xml
 python tests/mutants.py dynaviz/io dynaviz/scores ... --sample 6 > build/mutants.txt

@@ -33,9 +33,18 @@ def test_nothing_is_written_without_out_or_record(
     assert [file.name for file in tmp_path.iterdir()] == ["kept"]
 
 
-def test_a_result_stores_the_preset_and_the_origin_of_each_parameter(little_room: InMemory, tmp_path: Path) -> None:
+def test_a_result_stores_the_preset_and_the_origin_of_each_parameter(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     """Also for a run from Python, which has no command line to read them from."""
-    dv.run("octomap", little_room, preset="av2", settings=("prob_hit=0.6",), out=tmp_path, record="none")
+    dv.run(
+        "octomap",
+        little_room,
+        preset="av2",
+        settings=("prob_hit=0.6",),
+        out=tmp_path,
+        record="none",
+    )
     result = Result.load(tmp_path / "result.json")
     assert result.preset == "av2"
     assert result.parameters.keys() == result.parameter_origins.keys()
@@ -45,7 +54,9 @@ def test_a_result_stores_the_preset_and_the_origin_of_each_parameter(little_room
 
 
 def test_an_invalid_record_mode_is_rejected(little_room: InMemory) -> None:
-    with pytest.raises(UsageError, match=r"record = all: give full, errors, scores, none, or the path of an \.rrd"):
+    with pytest.raises(
+        UsageError, match=r"record = all: give full, errors, scores, none, or the path of an \.rrd"
+    ):
         dv.run("octomap", little_room, record="all")
 
 
@@ -56,16 +67,25 @@ def test_an_invalid_seed_and_a_view_without_a_recording_are_rejected(little_room
         dv.run("octomap", little_room, view=True)
 
 
-def test_a_run_that_fails_takes_nothing_from_the_one_before(little_room: InMemory, tmp_path: Path) -> None:
+def test_a_run_that_fails_takes_nothing_from_the_one_before(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     dv.run("octomap", little_room, out=tmp_path, record="scores")
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-    few = [replace(scan, points=scan.points[:50], labels=None, instances=None) for scan in little_room.scans]
-    with pytest.raises(UsageError, match="removert needs the vertical field of view"):  # too few points to estimate it
+    few = [
+        replace(scan, points=scan.points[:50], labels=None, instances=None)
+        for scan in little_room.scans
+    ]
+    with pytest.raises(
+        UsageError, match="removert needs the vertical field of view"
+    ):  # too few points to estimate it
         dv.run("removert", InMemory(few, "few", Sensor()), out=tmp_path)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
-def test_nothing_of_an_earlier_run_is_taken_for_this_one(little_room: InMemory, tmp_path: Path) -> None:
+def test_nothing_of_an_earlier_run_is_taken_for_this_one(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     dv.run("octomap", little_room, out=tmp_path, record="scores")
     dv.run("dufomap", little_room, out=tmp_path, record=tmp_path / "here.rrd")
     assert sorted(file.name for file in tmp_path.glob("*.rrd")) == ["here.rrd"]
@@ -88,8 +108,13 @@ def test_a_folder_that_cannot_be_written_is_told(
         dv.run("octomap", little_room, out=tmp_path, record="none")
 
 
-def test_a_broken_metric_ends_no_run_and_no_score(broken_plugins: None, little_room: InMemory, tmp_path: Path) -> None:
-    np.save(tmp_path / "map.npy", np.concatenate([scan.points[scan.labels == 0] for scan in little_room.scans]))
+def test_a_broken_metric_ends_no_run_and_no_score(
+    broken_plugins: None, little_room: InMemory, tmp_path: Path
+) -> None:
+    np.save(
+        tmp_path / "map.npy",
+        np.concatenate([scan.points[scan.labels == 0] for scan in little_room.scans]),
+    )
     with pytest.warns(UserWarning, match="metric 'a_broken_one'"):
         results = [dv.run("octomap", little_room)]
     with pytest.warns(UserWarning, match="metric 'a_broken_one'"):

@@ -10,7 +10,12 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Outcome
 
 WHITE, BLACK = (255, 255, 255), (16, 18, 20)
-SCORED = (Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)
+SCORED = (
+    Outcome.STATIC_KEPT,
+    Outcome.DYNAMIC_REMOVED,
+    Outcome.FALSE_POSITIVE,
+    Outcome.FALSE_NEGATIVE,
+)
 WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)
 
 
@@ -20,7 +25,8 @@ def test_outcomes_differ_and_errors_stand_out(eye: str) -> None:
     assert min(contrast(colours.BRIGHT[o], colours.BACKGROUND, eye) for o in SCORED) > 4
     kept = colours.BRIGHT[Outcome.STATIC_KEPT]
     assert all(
-        contrast(colours.BRIGHT[o], colours.BACKGROUND, eye) > 1.3 * contrast(kept, colours.BACKGROUND, eye)
+        contrast(colours.BRIGHT[o], colours.BACKGROUND, eye)
+        > 1.3 * contrast(kept, colours.BACKGROUND, eye)
         for o in WRONG
     )
 
@@ -48,7 +54,9 @@ def test_methods_differ(eye: str) -> None:
 
 
 def test_each_method_has_a_colour_for_good() -> None:
-    built_in = {handle.name for handle in registry.handles("methods") if handle.distribution == "dynaviz"}
+    built_in = {
+        handle.name for handle in registry.handles("methods") if handle.distribution == "dynaviz"
+    }
     assert built_in == set(colours.METHODS)
     assert colours.method_colour("erasor") == (195, 0, 0)
     assert colours.method_colour("mine") == colours.method_colour("mine") in colours.OTHERS

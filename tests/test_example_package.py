@@ -28,11 +28,18 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Code:
 def test_it_is_listed_and_configured_as_any_other(python: Code) -> None:
     main = "from dynaviz.cli import main; main()"
     assert "dynaviz-dufomap-wheel 0.1.0" in python(main, "list", "methods")
-    row = next(line for line in python(main, "list", "dufomap_wheel", "--set", "d_s=0.3").splitlines() if "d_s" in line)
+    row = next(
+        line
+        for line in python(main, "list", "dufomap_wheel", "--set", "d_s=0.3").splitlines()
+        if "d_s" in line
+    )
     assert "0.3" in row
     assert "--set" in row
 
 
 def test_it_conforms(python: Code) -> None:
     pytest.importorskip("dufomap", reason="needs the public program: pip install dufomap")
-    python("from dynaviz import registry, testing; testing.check_method(registry.load('methods', 'dufomap_wheel'))")
+    python(
+        "from dynaviz import registry, testing; testing.check_method(registry.load('methods', "
+        "'dufomap_wheel'))"
+    )

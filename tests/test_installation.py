@@ -1,4 +1,7 @@
-"""What has to be installed: cleaning and viewing without heavy packages, and instructions that can be followed."""
+"""What has to be installed.
+
+Cleaning and viewing without heavy packages, and instructions that can be followed.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,17 @@ from dynaviz.spatial import geometry
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("open3d", "matplotlib")
-NOTEBOOK = ("IPython", "dash", "dask", "distributed", "ipywidgets", "jupyter_core", "nbformat", "pandas", "sklearn")
+NOTEBOOK = (
+    "IPython",
+    "dash",
+    "dask",
+    "distributed",
+    "ipywidgets",
+    "jupyter_core",
+    "nbformat",
+    "pandas",
+    "sklearn",
+)
 WITHOUT = f"""
 import sys
 
@@ -38,17 +51,31 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 def test_cleaning_running_and_viewing_need_no_heavy_packages(tmp_path: Path) -> None:
-    """A sequence is cleaned inside a polygon, a run recorded, read and explored, while their imports fail."""
+    """A sequence is cleaned inside a polygon, a run recorded, read and explored, while their
+    imports fail.
+    """
     scans = tmp_path / "scans"
     scans.mkdir()
     world = room(frames=4, rays=1500).scans
     for scan in world:
-        np.save(scans / f"{scan.index:06d}.npy", geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points))
+        np.save(
+            scans / f"{scan.index:06d}.npy",
+            geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points),
+        )
     np.savetxt(scans / "poses.txt", [scan.T_world_sensor[:3].ravel() for scan in world])
     np.savetxt(tmp_path / "corners.txt", [[-9, -9], [9, -9], [0, 9]], delimiter=",")
     method, out = ("-m", "octomap", "--threads", 1), tmp_path / "out"
     lines: list[tuple[object, ...]] = [
-        ("clean", scans, "-o", tmp_path / "map.laz", *method, "--region", tmp_path / "corners.txt", "--accept"),
+        (
+            "clean",
+            scans,
+            "-o",
+            tmp_path / "map.laz",
+            *method,
+            "--region",
+            tmp_path / "corners.txt",
+            "--accept",
+        ),
         ("run", "octomap", scans, "-o", out),
         ("info", out / "run.rrd"),
         ("doctor", scans),
@@ -96,7 +123,14 @@ def test_the_requirements_of_cleaning_are_those_of_the_package() -> None:
 
 TEXTS = [
     path
-    for pattern in ("*.md", "docs/**/*.md", "eval/**/*.md", "dynaviz/**/*.py", "eval/**/*.py", "examples/**/*")
+    for pattern in (
+        "*.md",
+        "docs/**/*.md",
+        "eval/**/*.md",
+        "dynaviz/**/*.py",
+        "eval/**/*.py",
+        "examples/**/*",
+    )
     for path in ROOT.glob(pattern)
     if path.is_file() and path.suffix in (".md", ".py", ".toml", ".yml")
 ]

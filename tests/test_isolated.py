@@ -21,7 +21,9 @@ def command(body: str, words: tuple[str, ...] = COMPARE) -> subprocess.Popen[str
     lines = "".join(f"    {line}\n" for line in body.splitlines())
     start = f"import os, signal, sys, time\nfrom dynaviz import isolated\ndef run():\n{lines}"
     code = f"{start}isolated.run(run, {words!r})"
-    return subprocess.Popen([sys.executable, "-c", code], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        [sys.executable, "-c", code], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
 
 
 def outcome(body: str, words: tuple[str, ...] = COMPARE) -> tuple[int, str, str]:
@@ -32,15 +34,27 @@ def outcome(body: str, words: tuple[str, ...] = COMPARE) -> tuple[int, str, str]
 
 def test_a_recording_that_makes_rerun_abort_is_refused_in_one_line(tmp_path: Path) -> None:
     recording = record(room(2, 30), tmp_path / "a run.rrd", "errors")
-    abort = "import os, sys\nfrom rerun.chunk import RrdReader\nRrdReader.store = lambda self: os.abort()\n"
-    run = f"sys.argv = ['dynaviz', 'info', {str(recording)!r}]\nfrom dynaviz.__main__ import main\nmain()"
-    done = subprocess.run([sys.executable, "-c", abort + run], capture_output=True, text=True, check=False)
+    abort = (
+        "import os, sys\nfrom rerun.chunk import RrdReader\nRrdReader.store = lambda self: "
+        "os.abort()\n"
+    )
+    run = (
+        f"sys.argv = ['dynaviz', 'info', {str(recording)!r}]\nfrom dynaviz.__main__ import "
+        "main\nmain()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", abort + run], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
-    assert done.stderr == ("dynaviz: info: a library crashed (SIGABRT). Most likely a file is damaged.\n")
+    assert done.stderr == (
+        "dynaviz: info: a library crashed (SIGABRT). Most likely a file is damaged.\n"
+    )
 
 
 def test_the_last_words_of_a_crashing_library_are_left_out() -> None:
-    code, out, err = outcome("print('so far', flush=True); os.write(2, b'free(): invalid pointer'); os.abort()")
+    code, out, err = outcome(
+        "print('so far', flush=True); os.write(2, b'free(): invalid pointer'); os.abort()"
+    )
     assert (code, out) == (2, "so far\n")
     assert err.count("\n") == 1
     assert err.startswith("dynaviz: compare: a library crashed (SIGABRT).")
@@ -48,7 +62,10 @@ def test_the_last_words_of_a_crashing_library_are_left_out() -> None:
 
 def test_a_killed_command_reports_that_memory_may_have_run_out() -> None:
     code, _, err = outcome("os.kill(os.getpid(), signal.SIGKILL)")
-    assert (code, err) == (2, "dynaviz: compare was killed (SIGKILL). Most likely the memory ran out.\n")
+    assert (code, err) == (
+        2,
+        "dynaviz: compare was killed (SIGKILL). Most likely the memory ran out.\n",
+    )
 
 
 def test_exit_code_and_everything_printed_are_kept() -> None:

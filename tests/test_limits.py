@@ -54,11 +54,17 @@ FAR_REACHING = {"freedom", "hmm_mos"}  # their voxels are larger, so that 4 km i
 
 @pytest.mark.parametrize("name", METHODS)
 def test_what_lies_beyond_a_methods_reach_is_kept_and_harms_nobody(name: str) -> None:
-    """Two more crossings, 4 (or 20) and 90 km away, in opposite corners: the first keeps its labels."""
+    """Two more crossings, 4 (or 20) and 90 km away, in opposite corners.
+
+    The first keeps its labels.
+    """
     near = [scan.without_truth() for scan in crossing(4)]
     world = list(near)
     for k, far in enumerate((20_000.0 if name in FAR_REACHING else 4_000.0, -90_000.0), 1):
-        world += [dataclasses.replace(moved(scan, turn(0, far, far, 0)), index=10 * k + scan.index) for scan in near]
+        world += [
+            dataclasses.replace(moved(scan, turn(0, far, far, 0)), index=10 * k + scan.index)
+            for scan in near
+        ]
     answers = []
     for scans in (near, world):
         method = loaded(name)
@@ -121,7 +127,9 @@ def test_memory_grows_with_the_place_not_with_the_frames() -> None:
 
 
 def test_a_frame_of_a_million_points() -> None:
-    points = (np.random.default_rng(0).uniform(-1, 1, (1_000_000, 3)) * [6, 6, 0.5]).astype(np.float32)
+    points = (np.random.default_rng(0).uniform(-1, 1, (1_000_000, 3)) * [6, 6, 0.5]).astype(
+        np.float32
+    )
     method, sequence = loaded("octomap"), InMemory([Scan(0, points, np.eye(4))])
     tracemalloc.start()
     try:

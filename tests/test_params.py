@@ -39,7 +39,12 @@ def test_each_value_knows_the_layer_that_set_it(presets: None, tmp_path: Path) -
     file.write_text("[toy]\nrounds = 7\nbands = [3, 4.5]\n")
     resolved = params.resolve(METHOD, "city", file, ["strict=true", "toy.resolution=1"])
     assert resolved.params == Params(1.0, 7, True, (3, 4.5))
-    assert resolved.source == {"resolution": "--set", "rounds": str(file), "strict": "--set", "bands": str(file)}
+    assert resolved.source == {
+        "resolution": "--set",
+        "rounds": str(file),
+        "strict": "--set",
+        "bands": str(file),
+    }
     assert params.resolve(METHOD, "city").source["rounds"] == "preset city"
     assert set(params.resolve(METHOD).source.values()) == {"default"}
 
@@ -123,7 +128,9 @@ def test_config_file_round_trip(
         ("a = " + "[" * 50_000, "not valid TOML"),
     ],
 )
-def test_files_without_valid_parameters_are_reported(tmp_path: Path, content: str, expected: str) -> None:
+def test_files_without_valid_parameters_are_reported(
+    tmp_path: Path, content: str, expected: str
+) -> None:
     (tmp_path / "config.toml").write_text(content)
     with pytest.raises((DataError, UsageError), match=expected):
         params.resolve(registry.load("methods", "octomap"), config=tmp_path / "config.toml")

@@ -15,7 +15,8 @@ import builtins, sys
 
 real_import = builtins.__import__
 
-def without_unix(name, globals=None, *rest, **named):  # other packages have their own builds for other systems
+# Other packages have their own builds for other systems.
+def without_unix(name, globals=None, *rest, **named):
     if name in {UNIX_ONLY!r} and (globals or {{}}).get("__name__", "").startswith("dynaviz"):
         raise ImportError(f"{{name}} does not exist on this system")
     return real_import(name, globals, *rest, **named)
@@ -25,7 +26,9 @@ builtins.__import__ = without_unix
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", WITHOUT + code], capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", WITHOUT + code], capture_output=True, text=True, check=False
+    )
 
 
 def commands(*lines: tuple[object, ...]) -> subprocess.CompletedProcess[str]:

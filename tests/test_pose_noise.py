@@ -18,10 +18,14 @@ SCANS = crossing(24)
 def disturbed(shift: float, turn: float) -> list[Scan]:
     """Scans placed by poses with independent errors, standard deviations in metres and degrees."""
     random = np.random.default_rng(1)
-    errors = transforms(random.normal(0, shift, (24, 3)), np.radians(random.normal(0, turn, (24, 3))))
+    errors = transforms(
+        random.normal(0, shift, (24, 3)), np.radians(random.normal(0, turn, (24, 3)))
+    )
     found = []
     for scan, error in zip(SCANS, errors, strict=True):
-        T = geometry.compose(geometry.compose(scan.T_world_sensor, error), geometry.inverse(scan.T_world_sensor))
+        T = geometry.compose(
+            geometry.compose(scan.T_world_sensor, error), geometry.inverse(scan.T_world_sensor)
+        )
         found.append(moved(scan, T))
     return found
 
@@ -44,7 +48,16 @@ def test_the_meter_measures_while_scans_pass() -> None:
 
 def test_too_few_planes_give_no_figure() -> None:
     assert pose_noise(InMemory(SCANS[:3])) is None
-    assert pose_noise(InMemory([moved(Scan(k, scan.points[:40], scan.T_world_sensor), np.eye(4)) for k, scan in
-                                enumerate(SCANS)])) is None  # fmt: skip
+    assert (
+        pose_noise(
+            InMemory(
+                [
+                    moved(Scan(k, scan.points[:40], scan.T_world_sensor), np.eye(4))
+                    for k, scan in enumerate(SCANS)
+                ]
+            )
+        )
+        is None
+    )
     empty = [Scan(k, np.empty((0, 3), np.float32), np.eye(4)) for k in range(9)]
     assert pose_noise(InMemory(empty)) is None

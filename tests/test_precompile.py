@@ -10,7 +10,9 @@ from dynaviz import kernels, precompile
 from dynaviz.errors import UsageError
 
 
-def test_the_process_in_the_background_ends_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_process_in_the_background_ends_with_the_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(kernels, "compiled", lambda: False)
     before, during = multiprocessing.active_children(), []
 

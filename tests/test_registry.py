@@ -23,13 +23,17 @@ def test_an_unknown_name_suggests_a_similar_one() -> None:
 
 
 def test_loadable_plug_ins_exclude_broken_ones(broken_plugins: None) -> None:
-    with pytest.warns(UserWarning, match=r"method 'a_broken_one' of somebody's 1\.0 cannot be loaded"):
+    with pytest.warns(
+        UserWarning, match=r"method 'a_broken_one' of somebody's 1\.0 cannot be loaded"
+    ):
         found = registry.loadable("methods")
     assert list(found) == [handle.name for handle in registry.handles("methods")][1:]
     assert found["octomap"] is registry.load("methods", "octomap")
 
 
-def test_a_broken_plug_in_is_listed_and_does_not_affect_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_plug_in_is_listed_and_does_not_affect_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     broken = metadata.EntryPoint("broken", "no_such_module:Thing", "dynaviz.methods")
     whole = metadata.entry_points(group="dynaviz.methods")
     monkeypatch.setattr(registry.metadata, "entry_points", lambda group: [broken, *whole])

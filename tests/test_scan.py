@@ -78,7 +78,9 @@ def test_squared_ranges_are_from_the_origin_of_each_ray() -> None:
     points = np.array([[13, 4, 0], [10, 0, 2], [np.nan, 0, 0]])
     pose = np.eye(4)
     pose[0, 3] = 10
-    np.testing.assert_array_equal(Scan(0, points, pose).squared_ranges(), np.array([25, 4, np.nan], np.float32))
+    np.testing.assert_array_equal(
+        Scan(0, points, pose).squared_ranges(), np.array([25, 4, np.nan], np.float32)
+    )
     scan = Scan(0, points, pose, origins=np.array([[13, 0, 0], [10, 0, 0], [0, 0, 0]]))
     assert scan.squared_ranges(np.array([1, 0])).tolist() == [4, 16]
     assert scan.squared_ranges().dtype == np.float32
@@ -104,8 +106,13 @@ def test_outcomes_cross_truth_and_answer(pairs: list[tuple[int, bool]]) -> None:
         (Label.DYNAMIC, False): Outcome.FALSE_NEGATIVE,
         (Label.DYNAMIC, True): Outcome.DYNAMIC_REMOVED,
     }
-    labels, dynamic = np.array([p[0] for p in pairs], np.uint8), np.array([p[1] for p in pairs], np.bool_)
-    unlabelled = [Outcome.UNLABELLED_REMOVED if removed else Outcome.UNLABELLED_KEPT for _, removed in pairs]
+    labels, dynamic = (
+        np.array([p[0] for p in pairs], np.uint8),
+        np.array([p[1] for p in pairs], np.bool_),
+    )
+    unlabelled = [
+        Outcome.UNLABELLED_REMOVED if removed else Outcome.UNLABELLED_KEPT for _, removed in pairs
+    ]
     known = [expected.get(pair, other) for pair, other in zip(pairs, unlabelled, strict=True)]  # type: ignore[call-overload]
     assert outcomes(labels, dynamic).tolist() == known
     assert outcomes(None, dynamic).tolist() == unlabelled
@@ -138,7 +145,9 @@ def test_another_sensor() -> None:
     assert len(select_frames(sequence, sensor=other)) == 3
 
 
-@pytest.mark.parametrize(("frames", "stride"), [("5", 1), ("a:b", 1), ("1:2:3", 1), (None, 0), (None, -1), (":", 0)])
+@pytest.mark.parametrize(
+    ("frames", "stride"), [("5", 1), ("a:b", 1), ("1:2:3", 1), (None, 0), (None, -1), (":", 0)]
+)
 def test_an_invalid_range_is_an_error(frames: str | None, stride: int) -> None:
     with pytest.raises(UsageError, match="^frames=" if stride == 1 else "^stride="):
         select_frames(Counting(10), frames, stride)

@@ -43,19 +43,29 @@ def test_rows_are_counted_in_the_order_of_the_points_where_elevations_overlap() 
     ring = np.repeat(np.arange(12), 400)
     elevation = np.radians(-10 + 0.3 * ring + np.random.default_rng(0).normal(0, 0.4, len(ring)))
     flat = 10 * np.cos(elevation)
-    points = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 10 * np.sin(elevation)])
+    points = np.column_stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), 10 * np.sin(elevation)]
+    )
     assert estimate_sensor(dv.open([(points, np.eye(4))])).rings == 12
     shuffled = np.random.default_rng(1).permutation(points)
     assert estimate_sensor(dv.open([(shuffled, np.eye(4))])).rings is None
 
 
 def test_near_points_of_lasers_mounted_higher_do_not_widen_the_field_of_view() -> None:
-    """Lasers 0.2 m above the middle of the sensor, as in a HDL-64E: at 3 m, they see 4 degrees higher."""
-    random, azimuth = np.random.default_rng(0), np.tile(np.linspace(0, 2 * np.pi, 400, endpoint=False), 30)
+    """Lasers 0.2 m above the middle of the sensor, as in a HDL-64E.
+
+    At 3 m, they see 4 degrees higher.
+    """
+    random, azimuth = (
+        np.random.default_rng(0),
+        np.tile(np.linspace(0, 2 * np.pi, 400, endpoint=False), 30),
+    )
     elevation = np.radians(np.repeat(np.linspace(-9.6, 2.0, 30), 400))
     ranges = random.uniform(3.0, 40.0, len(azimuth))
     flat = ranges * np.cos(elevation)
-    points = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation) + 0.2])
+    points = np.column_stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation) + 0.2]
+    )
     found = estimate_sensor(dv.open([(points, np.eye(4))]))
     assert found.rings == 30
     assert found.elevation is not None
@@ -72,18 +82,27 @@ def turned(seconds: F64) -> F64:
 
 
 def test_rows_are_counted_although_the_vehicle_pitches_within_a_sweep() -> None:
-    """Rays of a sweep start from many poses; with the times of points, each is seen from its own."""
+    """Rays of a sweep start from many poses.
+
+    With the times of points, each is seen from its own.
+    """
     shares, ring = np.tile(np.arange(400) / 400, 12), np.repeat(np.arange(12), 400)
-    shuffle = np.random.default_rng(0).permutation(len(ring))  # so that the order of points shows no rows
+    shuffle = np.random.default_rng(0).permutation(
+        len(ring)
+    )  # so that the order of points shows no rows
     azimuth, elevation = 2 * np.pi * shares[shuffle], np.radians(-10 + 0.8 * ring[shuffle])
     flat = 10 * np.cos(elevation)
-    points = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 10 * np.sin(elevation)])
+    points = np.column_stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), 10 * np.sin(elevation)]
+    )
     scans = []
     for k in range(7):
         T, here = turned(0.1 * (k + shares[shuffle])), turned(np.array([0.1 * k]))[0]
         world = np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
         times = (0.1 * shares[shuffle]).astype(np.float32)
-        scans.append(Scan(k, world.astype(np.float32), here, k * 10**8, origins=T[:, :3, 3], times=times))
+        scans.append(
+            Scan(k, world.astype(np.float32), here, k * 10**8, origins=T[:, :3, 3], times=times)
+        )
     found = estimate_sensor(InMemory(scans, "bumps", Sensor()))
     assert found.rings == 12
     assert found.elevation == pytest.approx((-10.0, -1.2), abs=0.05)
@@ -93,7 +112,10 @@ def test_rows_are_counted_although_the_vehicle_pitches_within_a_sweep() -> None:
 
 def test_rows_of_two_lidars_in_one_scan_are_not_added() -> None:
     """Their rows are at other elevations, and their rays start from other places."""
-    azimuth, ring = np.tile(np.linspace(0, 2 * np.pi, 300, endpoint=False), 20), np.repeat(np.arange(20), 300)
+    azimuth, ring = (
+        np.tile(np.linspace(0, 2 * np.pi, 300, endpoint=False), 20),
+        np.repeat(np.arange(20), 300),
+    )
     elevation = np.radians(np.where(ring < 10, -8 + 1.1 * ring, 8.3 - 1.1 * (ring - 10)))
     starts = np.where(ring[:, None] < 10, [0.0, 0.0, 0.0], [0.0, 0.1, -0.2])
     flat = 12 * np.cos(elevation)
@@ -107,7 +129,10 @@ def test_rows_of_two_lidars_in_one_scan_are_not_added() -> None:
 
 
 def test_a_method_gets_the_estimates_that_it_needs() -> None:
-    with pytest.warns(UserWarning, match=r"sensor is unknown; estimated from the scans: 0\.\d+ m above the ground, 16"):
+    with pytest.warns(
+        UserWarning,
+        match=r"sensor is unknown; estimated from the scans: 0\.\d+ m above the ground, 16",
+    ):
         estimated = dv.run("erasor", unknown("simulate:demo?frames=3"), threads=1)
     assert (estimated.counts["static_kept"], estimated.counts["dynamic_removed"]) > (0, 0)
 
@@ -136,7 +161,8 @@ def test_what_cannot_be_estimated_is_reported_before_the_sequence_is_read() -> N
         def __len__(self) -> int:
             return 50
 
-        def __getitem__(self, position: int) -> dv.scan.Scan:  # type: ignore[name-defined]  # loaded on access
+        # loaded on access
+        def __getitem__(self, position: int) -> dv.scan.Scan:  # type: ignore[name-defined]
             self.positions += (position,)
             scan = room(frames=1).scans[0]
             return dataclasses.replace(scan, points=scan.points[:20], labels=None, instances=None)
@@ -148,8 +174,18 @@ def test_what_cannot_be_estimated_is_reported_before_the_sequence_is_read() -> N
 
 
 def test_estimates_in_one_line() -> None:
-    sensor = Sensor(rings=32, elevation=(-25.0, 15.0), height=1.8, azimuth=(-60.0, 60.0), max_range=98.4, rate=10.0)
-    expected = "1.80 m above the ground, 32 rows, from -25.0 to 15.0 degrees, azimuth -60 to 60, up to 98 m, 10.0 Hz"
+    sensor = Sensor(
+        rings=32,
+        elevation=(-25.0, 15.0),
+        height=1.8,
+        azimuth=(-60.0, 60.0),
+        max_range=98.4,
+        rate=10.0,
+    )
+    expected = (
+        "1.80 m above the ground, 32 rows, from -25.0 to 15.0 degrees, azimuth -60 to 60, up to 98 "
+        "m, 10.0 Hz"
+    )
     assert sentence(sensor) == expected
 
 

@@ -22,22 +22,50 @@ Command = Callable[..., str]
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("hatchling")
     folder = tmp_path_factory.mktemp("wheel")
-    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
-    subprocess.run([*pip, "--no-build-isolation", "--wheel-dir", folder, CHECKOUT], check=True, capture_output=True)
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+    ]
+    subprocess.run(
+        [*pip, "--no-build-isolation", "--wheel-dir", folder, CHECKOUT],
+        check=True,
+        capture_output=True,
+    )
     (built,) = folder.iterdir()
     return built
 
 
 @pytest.fixture(scope="module")
 def command(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Command:
-    """Call a program of the environment in an empty folder; what the wheel needs is lent by the tests' environment."""
+    """Call a program of the environment in an empty folder.
+
+    What the wheel needs is lent by the tests' environment.
+    """
     home, away = tmp_path_factory.mktemp("venv"), tmp_path_factory.mktemp("away")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
-    pip = [sys.executable, "-m", "pip", "--python", home / "bin/python", "install", "--quiet", "--no-deps"]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        home / "bin/python",
+        "install",
+        "--quiet",
+        "--no-deps",
+    ]
     subprocess.run([*pip, "--disable-pip-version-check", wheel], check=True, capture_output=True)
     site = Path(sysconfig.get_path("purelib", vars={"base": str(home), "platbase": str(home)}))
     (site / "lent.pth").write_text(sysconfig.get_path("purelib"))
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "NUMBA"))}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("PYTHON", "NUMBA"))
+    }
 
     def call(program: str, *words: object, **variables: str) -> str:
         done = subprocess.run(
@@ -65,16 +93,28 @@ def test_it_holds_the_three_packages_and_no_other(wheel: Path) -> None:
 
 @pytest.mark.slow
 def test_it_runs_outside_the_checkout(command: Command, tmp_path: Path) -> None:
-    where = command("python", "-c", "import dynaviz, dynaviz_eval, dynaviz_methods as m; print(dynaviz.__file__, m)")
+    where = command(
+        "python",
+        "-c",
+        "import dynaviz, dynaviz_eval, dynaviz_methods as m; print(dynaviz.__file__, m)",
+    )
     assert str(CHECKOUT) not in where
     listed = command("python", "-m", "dynaviz", "list")
     assert "cannot be loaded" not in listed
-    assert all(name in listed for name in ("erasor", "hdl64e", "av2", "semantickitti", "street_vlp16", "confusion"))
+    assert all(
+        name in listed
+        for name in ("erasor", "hdl64e", "av2", "semantickitti", "street_vlp16", "confusion")
+    )
     room = write_room(tmp_path / "room", frames=3, rays=400)
-    # Compiling takes half a minute, and plain Python is fast enough for a small room. It warns when integers overflow.
+    # Compiling takes half a minute, and plain Python is fast enough for a small room. It warns when
+    # integers overflow.
     uncompiled = {"NUMBA_DISABLE_JIT": "1", "PYTHONWARNINGS": "ignore::RuntimeWarning"}
-    output = command("dynaviz", "run", "erasor", room, "-o", "run", "--set", "sensor_height=1", **uncompiled)
-    assert re.search(r"Open it with: \S*/bin/dynaviz view run/run.rrd$", output, re.MULTILINE), output
+    output = command(
+        "dynaviz", "run", "erasor", room, "-o", "run", "--set", "sensor_height=1", **uncompiled
+    )
+    assert re.search(r"Open it with: \S*/bin/dynaviz view run/run.rrd$", output, re.MULTILINE), (
+        output
+    )
     assert "Warning" not in output
     assert " DA  Kept: " in command("dynaviz", "info", "run/run.rrd", "--failures", **uncompiled)
     command("dynaviz", "report", "run", "-o", "report.html", **uncompiled)
@@ -82,7 +122,10 @@ def test_it_runs_outside_the_checkout(command: Command, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_kernels_are_compiled_once(command: Command) -> None:
-    pack = "import numpy as np; from dynaviz.spatial.grid import pack; print(pack(np.ones((1, 3), np.float32), 0.5))"
+    pack = (
+        "import numpy as np; from dynaviz.spatial.grid import pack; print(pack(np.ones((1, 3), "
+        "np.float32), 0.5))"
+    )
     first, again = (command("python", "-c", pack) for _ in range(2))
     assert "compiling kernels, first run only" in first
     assert "compiling" not in again

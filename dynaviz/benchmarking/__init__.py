@@ -1,1 +1,3 @@
-"""Benchmarks: methods x sequences x parameter sets, one folder per cell, resumed after an interruption."""
+"""Benchmarks: methods x sequences x parameter sets, one folder per cell, resumed after an
+interruption.
+"""

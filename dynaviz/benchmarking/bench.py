@@ -1,4 +1,6 @@
-"""Benchmarks: methods x sequences x parameter sets, one folder per cell, resumed after an interruption."""
+"""Benchmarks: methods x sequences x parameter sets, one folder per cell, resumed after an
+interruption.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +31,16 @@ def bench(
     fresh: bool = False,
     callbacks: BenchCallbacks | None = None,
 ) -> Leaderboard:
-    """Run methods on sequences, with one or more parameter sets, and optionally search for better parameters.
+    """Run methods on sequences, with one or more parameter sets, and optionally search for better
+    parameters.
 
-    A cell is one method with one parameter set on one sequence. Finished cells are kept if they are complete and have
-    the same data, parameters and versions; all others run. A cell that fails becomes a row with its error, and the
-    others continue.
+    A cell is one method with one parameter set on one sequence. Finished cells are kept if they are
+    complete and have the same data, parameters and versions; all others run. A cell that fails
+    becomes a row with its error, and the others continue.
 
     Args:
-        plan: a TOML file, or a mapping with its content (``examples/bench.toml`` explains every key).
+        plan: a TOML file, or a mapping with its content (``examples/bench.toml`` explains every
+            key).
         out: folder of the bench; the files of a cell are in ``out/SEQUENCE/METHOD[-VARIANT]``.
         scheduler: address of a Dask scheduler whose workers run the cells.
         fresh: run every cell again.
@@ -46,19 +50,24 @@ def bench(
         The rows; printing them with rich shows a leaderboard.
 
     Raises:
-        UsageError, DataError: for an invalid plan, a sequence that cannot be opened, or a folder that another process
-            writes into.
+        UsageError, DataError: for an invalid plan, a sequence that cannot be opened, or a folder
+            that another process writes into.
     """
     if isinstance(plan, Mapping):
-        table, place = plan, "bench"
+        table = plan
+        place = "bench"
     else:
-        table, place = read(Path(plan)), os.fspath(plan)
+        table = read(Path(plan))
+        place = os.fspath(plan)
     checked = plan_of(table, place)
     if scheduler and checked.timing:
         raise UsageError("timing measures this machine only. Leave out --scheduler")
     if scheduler and "workers" in table:
-        raise UsageError("the cluster sets the number of workers. Leave out workers, or --scheduler")
-    folder, callbacks = Path(out), callbacks or BenchCallbacks()
+        raise UsageError(
+            "the cluster sets the number of workers. Leave out workers, or --scheduler"
+        )
+    folder = Path(out)
+    callbacks = callbacks or BenchCallbacks()
     if checked.search:
         search.check(checked)
     for source in checked.sources:
@@ -71,7 +80,11 @@ def bench(
         if not checked.search:
             return Leaderboard(rows)
         tried, searches = search.search(runner, checked.search, learning, folder)
-        best = [found.best for found in searches if found.best.variant and found.best not in checked.sets]
+        best = [
+            found.best
+            for found in searches
+            if found.best.variant and found.best not in checked.sets
+        ]
         rows += runner.rows(best, learning)
         shown = {row.folder for row in rows}
         trials = {row.folder: row for row in tried if row.folder not in shown}
@@ -82,7 +95,9 @@ def bench(
 
 
 @contextlib.contextmanager
-def _executor(out: Path, scheduler: str | None, plan: BenchPlan, callbacks: BenchCallbacks) -> Iterator[Executor]:
+def _executor(
+    out: Path, scheduler: str | None, plan: BenchPlan, callbacks: BenchCallbacks
+) -> Iterator[Executor]:
     def report(task: CellTask, phase: str, done: int, total: int) -> None:
         callbacks.running(task.cell, phase, done, total)
 

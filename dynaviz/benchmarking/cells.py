@@ -44,7 +44,11 @@ class CellTask:
     def facts(self) -> Mapping[str, str]:
         """What identifies the cell."""
         chosen = self.cell.parameter_set
-        return {"method": chosen.method, "sequence": self.cell.source.name, "variant": chosen.variant}
+        return {
+            "method": chosen.method,
+            "sequence": self.cell.source.name,
+            "variant": chosen.variant,
+        }
 
     def run(self, folder: Path, threads: int | None, progress: Progress = silent) -> None:
         """Run the cell in this process.
@@ -52,7 +56,8 @@ class CellTask:
         Raises:
             DynavizError: as ``dynaviz.run``, or if the data changed since the bench started.
         """
-        cell, chosen = self.cell, self.cell.parameter_set
+        cell = self.cell
+        chosen = self.cell.parameter_set
         options = RunOptions(
             settings=chosen.parameters,
             online=chosen.online,
@@ -61,7 +66,8 @@ class CellTask:
             threads=threads,
             record=cell.record,
         )
-        sequence, refine = open_spec(cell.source), cell.source.options.refine_poses
+        sequence = open_spec(cell.source)
+        refine = cell.source.options.refine_poses
         result = run_method(
             chosen.method,
             sequence,
@@ -73,22 +79,32 @@ class CellTask:
             progress=progress,
         )
         if problem := difference(cell, result, folder):
-            raise DynavizError(f"the result does not match the cell: {problem}. Run the bench again.")
+            raise DynavizError(
+                f"the result does not match the cell: {problem}. Run the bench again."
+            )
 
     def finished(self, folder: Path) -> bool:
         """Whether its result is complete and has the same data, parameters and versions."""
         return result_of(self.cell, folder) is not None
 
 
-_surveys: dict[tuple[SequenceSpec, int, int], Surveyed] = {}  # of the last sequence that this process has read
+_surveys: dict[
+    tuple[SequenceSpec, int, int], Surveyed
+] = {}  # of the last sequence that this process has read
 
 
 def _surveyed(source: SequenceSpec, sequence: Sequence, progress: Progress) -> Surveyed | None:
-    """The survey of a sequence, whose cells follow each other; made again if a file was added, removed or written.
+    """The survey of a sequence, whose cells follow each other.
+
+    Made again if a file was added, removed or written.
 
     None for a path that cannot be watched, such as that of a simulation.
     """
-    files = [file.stat() for name in (source.path, source.options.poses or source.path) for file in _files(Path(name))]
+    files = [
+        file.stat()
+        for name in (source.path, source.options.poses or source.path)
+        for file in _files(Path(name))
+    ]
     if not files:
         return None
     key = source, len(files), max(file.st_mtime_ns for file in files)
@@ -105,13 +121,18 @@ def _files(place: Path) -> Iterator[Path]:
 
 
 def result_of(cell: BenchCell, folder: Path) -> Result | None:
-    """The result of a finished cell, if it is complete and has the same data, parameters and versions; else None."""
+    """The result of a finished cell, if it is complete and has the same data, parameters and
+    versions; else None.
+    """
     result, problem = earlier_result(cell, folder)
     return None if problem else result
 
 
 def earlier_result(cell: BenchCell, folder: Path) -> tuple[Result | None, str]:
-    """The result in the folder of a cell, and why it is not that of the cell, as a clause; empty if it is."""
+    """The result in the folder of a cell, and why it is not that of the cell, as a clause.
+
+    Empty if it is.
+    """
     try:
         result = Result.load(folder / "result.json")
     except DataError:
@@ -122,8 +143,10 @@ def earlier_result(cell: BenchCell, folder: Path) -> tuple[Result | None, str]:
 def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
     """The first property in which a result differs from its cell, as text; None if it matches."""
     recorded = None if cell.record == "none" else cell.record
-    here, there = environment(), result.environment
-    chosen, code = cell.parameter_set, plugin("methods", cell.parameter_set.method)
+    here = environment()
+    there = result.environment
+    chosen = cell.parameter_set
+    code = plugin("methods", cell.parameter_set.method)
     same: dict[str, tuple[Any, Any]] = {  # what the result has, and what the cell needs
         "sequence": (result.sequence.name, cell.source.name),
         "digest": (result.sequence.digest, cell.digest),
@@ -142,7 +165,11 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
         same["states recorded"] = result.instrumented, False
     for name, (found, needed) in same.items():
         if _plain(found) != _plain(needed):
-            return f"the code of {chosen.method} changed" if name == "code" else f"{name} is {found!r}, not {needed!r}"
+            return (
+                f"the code of {chosen.method} changed"
+                if name == "code"
+                else f"{name} is {found!r}, not {needed!r}"
+            )
     if recorded:
         with contextlib.suppress(OSError):
             if sha256(folder / "run.rrd") == result.recording_sha256:
@@ -153,9 +180,14 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
 
 def command(cell: BenchCell) -> str:
     """The command that runs this cell alone."""
-    source, chosen = cell.source, cell.parameter_set
+    source = cell.source
+    chosen = cell.parameter_set
     words = ["dynaviz", "run", chosen.method, source.path, *source.options.words]
-    words += [word for text in settings(chosen.parameters) for word in ("--set", text.replace(" = ", "=", 1))]
+    words += [
+        word
+        for text in settings(chosen.parameters)
+        for word in ("--set", text.replace(" = ", "=", 1))
+    ]
     words += ["--online"] if chosen.online else []
     words += ["--seed", str(chosen.seed), "--record", cell.record]
     return shlex.join(words)

@@ -1,4 +1,7 @@
-"""The results of a bench: one row per cell, totals over sequences by adding counts, and the results of a search."""
+"""The results of a bench.
+
+One row per cell, totals over sequences by adding counts, and the results of a search.
+"""
 
 from __future__ import annotations
 
@@ -43,8 +46,9 @@ class SearchResult:
     Attributes:
         best: the best parameters; the defaults if no trial was better.
         preset: the file with these parameters.
-        aa, default_aa: associated accuracy of the best and the default parameters, in percent, over the added counts
-            of all sequences that were not held out; ``default_aa`` is None if undefined.
+        aa, default_aa: associated accuracy of the best and the default parameters, in percent, over
+            the added counts of all sequences that were not held out; ``default_aa`` is None if
+            undefined.
         trials, failed: number of sets that were tried, and of those without an AA.
     """
 
@@ -83,11 +87,15 @@ class Leaderboard:
         return [row for row in [*self.rows, *self.trials] if row.error]
 
     def totals(self, held_out: bool = False) -> list[Result]:
-        """One combined result per method and variant if there are several sequences and none of its cells failed."""
+        """One combined result per method and variant if there are several sequences and none of its
+        cells failed.
+        """
         groups: dict[tuple[str, str], list[BenchRow]] = {}
         for row in self.rows:
             if (row.cell.source.name in self.holdout) == held_out:
-                groups.setdefault((row.cell.parameter_set.method, row.cell.parameter_set.variant), []).append(row)
+                groups.setdefault(
+                    (row.cell.parameter_set.method, row.cell.parameter_set.variant), []
+                ).append(row)
         most = max(map(len, groups.values()), default=0)
         finished = [[row.result for row in rows if row.result] for rows in groups.values()]
         return [combined(results) for results in finished if len(results) == most > 1]
@@ -100,8 +108,14 @@ class Leaderboard:
         from dynaviz.scores.result import result_table
 
         parts: list[RenderableType] = []
-        training = [row.result for row in self.rows if row.result and row.cell.source.name not in self.holdout]
-        held = [row.result for row in self.rows if row.result and row.cell.source.name in self.holdout]
+        training = [
+            row.result
+            for row in self.rows
+            if row.result and row.cell.source.name not in self.holdout
+        ]
+        held = [
+            row.result for row in self.rows if row.result and row.cell.source.name in self.holdout
+        ]
         for results, totals, title in (
             (training, self.totals(), None),
             (held, self.totals(held_out=True), "Held out from the search"),
@@ -109,9 +123,19 @@ class Leaderboard:
             if results:
                 parts.append(result_table(_ranked(results) + _ranked(totals), title=title))
         if self.failed:
-            table = Table("sequence", "method", "error", box=None, pad_edge=False, title="Failed", title_justify="left")
+            table = Table(
+                "sequence",
+                "method",
+                "error",
+                box=None,
+                pad_edge=False,
+                title="Failed",
+                title_justify="left",
+            )
             for row in self.failed:
-                table.add_row(*map(escape, (row.cell.source.name, row.cell.path.name, row.error or "")))
+                table.add_row(
+                    *map(escape, (row.cell.source.name, row.cell.path.name, row.error or ""))
+                )
             parts.append(table)
         return Group(*parts)
 

@@ -21,7 +21,8 @@ class SequenceSpec:
 
     Attributes:
         name: name of its folder and in tables.
-        path: path for ``dynaviz.open``; empty for a simulated scene, which is written when the bench starts.
+        path: path for ``dynaviz.open``; empty for a simulated scene, which is written when the
+            bench starts.
         options: how to open it.
         scene: name of a simulated scene, or empty.
         sweeps: of the simulated scene; None for its own number.
@@ -106,7 +107,10 @@ class BenchCell:
     @property
     def path(self) -> Path:
         """Its folder, relative to the folder of the bench."""
-        return Path(self.source.name, "-".join(filter(None, [self.parameter_set.method, self.parameter_set.variant])))
+        return Path(
+            self.source.name,
+            "-".join(filter(None, [self.parameter_set.method, self.parameter_set.variant])),
+        )
 
 
 @dataclass(frozen=True)
@@ -154,8 +158,13 @@ def settings(values: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def variant(values: Mapping[str, Any]) -> str:
-    """A short name for a choice of values, valid as a folder name; the same values give the same name."""
-    plain = ",".join(f"{key}={json.dumps(value, separators=(',', ':'))}" for key, value in sorted(values.items()))
+    """A short name for a choice of values, valid as a folder name.
+
+    The same values give the same name.
+    """
+    plain = ",".join(
+        f"{key}={json.dumps(value, separators=(',', ':'))}" for key, value in sorted(values.items())
+    )
     short = re.sub(r'"([A-Za-z_]\w*)"', r"\1", plain)
     valid = re.fullmatch(r"[\w.=,+\[\]-]{1,48}", short, re.ASCII)
     return short if valid else "set-" + hashlib.sha256(plain.encode()).hexdigest()[:8]

@@ -17,7 +17,10 @@ from dynaviz.tasks.task import clear, error_of, fail
 
 
 class BenchCallbacks:
-    """Callbacks for the progress of a bench, called from several threads. Override those you need."""
+    """Callbacks for the progress of a bench, called from several threads.
+
+    Override those you need.
+    """
 
     def preparing(self, task: str, done: int, total: int) -> None:
         """A sequence is being simulated or read; counts are in frames."""
@@ -54,14 +57,18 @@ class CellRunner:
     _outdated: dict[Path, str] = field(default_factory=dict)
 
     def rows(self, sets: Iterable[ParameterSet], sources: Iterable[SequenceSpec]) -> list[BenchRow]:
-        """Run every set on every sequence; return the rows sequence by sequence, in the given order."""
+        """Run every set on every sequence.
+
+        Return the rows sequence by sequence, in the given order.
+        """
         sets = list(sets)
         wanted = [self._cell(source, parameter_set) for source in sources for parameter_set in sets]
         new = {cell.path: cell for cell in wanted if cell.path not in self._ended}
         self.callbacks.planned(len(new))
         todo = []
         for cell in new.values():
-            folder, problem = self.out / cell.path, self._digests[cell.source]
+            folder = self.out / cell.path
+            problem = self._digests[cell.source]
             if isinstance(problem, DynavizError):
                 clear(CellTask(cell), folder)
                 fail(CellTask(cell), folder, str(problem))
@@ -82,7 +89,11 @@ class CellRunner:
         folder = self.out / cell.path
         if row is None:
             result = result_of(cell, folder)
-            error = None if result else error_of(folder) or "its files disappeared. Run the bench again."
+            error = (
+                None
+                if result
+                else error_of(folder) or "its files disappeared. Run the bench again."
+            )
             row = BenchRow(cell, folder, result, error, outdated=self._outdated.get(cell.path, ""))
         self._ended[cell.path] = row
         self.callbacks.ended(row)
@@ -100,13 +111,16 @@ class CellRunner:
         from dynaviz.sources.summary import summarize
 
         def report(task: str) -> Callable[[int, int], None]:
-            return lambda done, total: self.callbacks.preparing(f"{task} {source.name}", done, total)
+            return lambda done, total: self.callbacks.preparing(
+                f"{task} {source.name}", done, total
+            )
 
         try:
             if source.scene:
                 simulated(source, report("simulate"))
             sequence = open_spec(source)
-            report_read, total = report("read"), len(sequence)
+            report_read = report("read")
+            total = len(sequence)
             return summarize(sequence, lambda done: report_read(done, total)).digest
         except DynavizError as error:
             return error

@@ -26,8 +26,15 @@ def open_spec(source: SequenceSpec) -> Sequence:
 
 
 def placed(source: SequenceSpec, out: Path) -> SequenceSpec:
-    """The source with its path; for a scene the path to simulate it to, in the bench folder ``out``."""
-    return replace(source, path=str((out / "sequences" / source.name).resolve())) if source.scene else source
+    """The source with its path.
+
+    For a scene the path to simulate it to, in the bench folder ``out``.
+    """
+    return (
+        replace(source, path=str((out / "sequences" / source.name).resolve()))
+        if source.scene
+        else source
+    )
 
 
 def simulated(source: SequenceSpec, progress: Callable[[int, int], None]) -> None:
@@ -38,15 +45,23 @@ def simulated(source: SequenceSpec, progress: Callable[[int, int], None]) -> Non
     """
     from dynaviz.synthetic.simulate.write import VERSION, simulate
 
-    folder, frames = Path(source.path), source.sweeps or PRESETS[source.scene].frames
+    folder = Path(source.path)
+    frames = source.sweeps or PRESETS[source.scene].frames
     if folder.exists():
         facts = read_toml(folder / "sequence.toml")
-        wanted = {"preset": source.scene, "frames": frames, "seed": source.seed, "generator": VERSION}
+        wanted = {
+            "preset": source.scene,
+            "frames": frames,
+            "seed": source.seed,
+            "generator": VERSION,
+        }
         if all(facts.get(key) == value for key, value in wanted.items()):
             return
         if "generator" not in facts:
             raise DataError(
-                folder, "not a simulated scene", hint="Remove the folder, or give the sequence another name"
+                folder,
+                "not a simulated scene",
+                hint="Remove the folder, or give the sequence another name",
             )
         shutil.rmtree(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,7 @@
-"""Find parameters without labels: search on implants, then score on other implants, and on true labels if known."""
+"""Find parameters without labels.
+
+Search on implants, then score on other implants, and on true labels if known.
+"""
 
 from __future__ import annotations
 
@@ -59,11 +62,12 @@ class Tuned:
     """The result of a search on implants; printing it with rich shows the scores as a table.
 
     Attributes:
-        preset: the file with the best parameters, for ``--config``: ``best-METHOD.toml`` if their gain is proven, or
-            they are the defaults; otherwise ``unproven-METHOD.toml``.
+        preset: the file with the best parameters, for ``--config``: ``best-METHOD.toml`` if their
+            gain is proven, or they are the defaults; otherwise ``unproven-METHOD.toml``.
         improved: whether they differ from the default.
         gain: what they gain on other implants; None if they are the defaults, or a run failed.
-        scores: default and tuned, on the implants of the search, on other implants, and on true labels.
+        scores: default and tuned, on the implants of the search, on other implants, and on true
+            labels.
         board: all runs.
     """
 
@@ -75,17 +79,24 @@ class Tuned:
 
     @property
     def proven(self) -> bool:
-        """Whether the parameters are better than the default on movers that the search did not see."""
+        """Whether the parameters are better than the default on movers that the
+        search did not see.
+        """
         return self.gain is not None and not self.gain.doubts
 
     def __rich__(self) -> Table:
         from rich import box
         from rich.table import Table
 
-        table = Table("scored on", "parameters", "SA", "DA", "AA", box=box.SIMPLE_HEAD, pad_edge=False)
+        table = Table(
+            "scored on", "parameters", "SA", "DA", "AA", box=box.SIMPLE_HEAD, pad_edge=False
+        )
         for score in self.scores:
             metrics = score.result.metrics
-            values = ("n/a" if (value := metrics.get(name)) is None else f"{value:.2f}" for name in ("SA", "DA", "AA"))
+            values = (
+                "n/a" if (value := metrics.get(name)) is None else f"{value:.2f}"
+                for name in ("SA", "DA", "AA")
+            )
             table.add_row(score.scored_on, score.parameters, *values)
         return table
 
@@ -106,51 +117,73 @@ def tune(
 ) -> Tuned:
     """Find the parameters of a method that suit a sensor and a place, without labels.
 
-    Implants of several seeds are written to ``out/implants``. The search sees some of them; the others are scored at
-    the end; parameters whose gain on these is not proven (``Gain.doubts``) are not called best. Labels of the sequence
-    are not used, except to score the result. A panel of other methods decides which
-    points of the sequence are static. An interrupted search resumes if it is started again.
+    Implants of several seeds are written to ``out/implants``. The search sees some of them; the
+    others are scored at the end; parameters whose gain on these is not proven (``Gain.doubts``) are
+    not called best. Labels of the sequence are not used, except to score the result. A panel of
+    other methods decides which points of the sequence are static. An interrupted search resumes if
+    it is started again.
 
     Args:
         sequence: a path, or ``implant:PATH?cars=6&persons=10`` to choose the movers.
         method: name of the method.
         out: folder for the sequences, the runs, and ``best-METHOD.toml``.
         trials: number of parameter sets to try, in addition to the default.
-        seeds, holdout: number of sequences with implants for the search, and for the scores at the end.
-        ranges: by parameter ``LOW:HIGH`` or ``log:LOW:HIGH``; default: half to twice each positive default.
+        seeds, holdout: number of sequences with implants for the search, and for the scores at the
+            end.
+        ranges: by parameter ``LOW:HIGH`` or ``log:LOW:HIGH``; default: half to twice each positive
+            default.
         workers: number of parallel runs.
         callbacks, progress: receive the progress of the runs, and of what comes before.
         options: how to open the sequence, as for ``dynaviz.open``.
 
     Raises:
-        UsageError: for an unknown method, an invalid range, or a folder that contains a search with other options.
+        UsageError: for an unknown method, an invalid range, or a folder that contains a search with
+            other options.
         DataError: for a sequence that cannot be read.
         MissingDependency: if optuna is not installed.
     """
     registry.load("methods", method)
     if seeds < 1 or holdout < 1:
         raise UsageError(f"seeds = {seeds}, holdout = {holdout}: give at least 1")
-    path, movers = os.fspath(sequence), ImplantOptions()
+    path = os.fspath(sequence)
+    movers = ImplantOptions()
     if path.startswith("implant:"):
         path, movers = parse(path.removeprefix("implant:"))
-    path, folder, opening = absolute(path), Path(out), SequenceOptions.of(**options)
-    source = {"path": path, **{name: value for name, value in asdict(opening).items() if value is not None}}
+    path = absolute(path)
+    folder = Path(out)
+    opening = SequenceOptions.of(**options)
+    source = {
+        "path": path,
+        **{name: value for name, value in asdict(opening).items() if value is not None},
+    }
     base = open_source(path, opening, folder=folder, progress=progress)
     names = [f"seed{seed}" for seed in range(1, 1 + seeds + holdout)]
-    _write_implants(base, replace(movers, panel=default_panel(without=method)), folder, names, source, progress)
+    _write_implants(
+        base, replace(movers, panel=default_panel(without=method)), folder, names, source, progress
+    )
     held = [*names[seeds:], *([LABELS] if base.has_labels else [])]
     table: dict[str, Any] = {
         "methods": [method],
         "record": "none",
         "workers": workers,
-        "sequences": [{"path": str((folder / "implants" / name).resolve()), "name": name} for name in names],
+        "sequences": [
+            {"path": str((folder / "implants" / name).resolve()), "name": name} for name in names
+        ],
         "holdout": held,
-        "search": {"kind": "bayes", "trials": trials, "ranges": {method: ranges or default_ranges(method)}},
+        "search": {
+            "kind": "bayes",
+            "trials": trials,
+            "ranges": {method: ranges or default_ranges(method)},
+        },
     }
     if base.has_labels:
         table["sequences"].append({**source, "name": LABELS})
     board = bench(table, folder, callbacks=callbacks)
-    groups = {"implants of the search": names[:seeds], "other implants": names[seeds:], "true labels": [LABELS]}
+    groups = {
+        "implants of the search": names[:seeds],
+        "other implants": names[seeds:],
+        "true labels": [LABELS],
+    }
     found = board.searches[0]
     improved = bool(found.best.variant)
     gained = _gain(board, found.best.variant, names[seeds:]) if improved else None
@@ -166,14 +199,22 @@ def tune(
 def _gain(board: Leaderboard, best: str, names: Sequence[str]) -> Gain | None:
     """The gain over the default on some sequences; None if a run failed."""
     chosen = [
-        [row.result for name in names for row in board.rows if _is(row, variant, [name]) and row.result]
+        [
+            row.result
+            for name in names
+            for row in board.rows
+            if _is(row, variant, [name]) and row.result
+        ]
         for variant in ("", best)
     ]
     return gain(*chosen) if all(len(results) == len(names) for results in chosen) else None
 
 
 def _scores(board: Leaderboard, best: str, groups: Mapping[str, list[str]]) -> list[Score]:
-    """Default and tuned scores of each group of sequences; groups with a failed run are left out."""
+    """Default and tuned scores of each group of sequences.
+
+    Groups with a failed run are left out.
+    """
     scores = []
     for title, names in groups.items():
         for parameters, variant in {"default": "", "tuned": best}.items():
@@ -210,20 +251,31 @@ def _write_implants(
     lidar = LidarModel.measure(blind)
     survey = Survey.of(blind, lambda done, total: progress("survey", done, total), agreed.dynamic)
     for name in missing:
-        scene = planned(base.name, replace(movers, seed=int(name.removeprefix("seed"))), lidar, survey)
+        scene = planned(
+            base.name, replace(movers, seed=int(name.removeprefix("seed"))), lidar, survey
+        )
         implanted = ImplantedSequence(blind, scene, lidar, name, movers.panel, agreed.static)
         write(implanted, out / "implants" / name, partial(progress, f"write {name}"))
 
 
 def _check_facts(file: Path, movers: ImplantOptions, source: Mapping[str, Any]) -> None:
-    """Compare what is implanted with what an earlier search in the folder implanted, or store it."""
+    """Compare what is implanted with what an earlier search in the folder implanted,
+    or store it.
+    """
     import tomli_w
 
-    kept = {key: value for key, value in asdict(movers).items() if key not in ("seed", "frames", "stride", "scene")}
+    kept = {
+        key: value
+        for key, value in asdict(movers).items()
+        if key not in ("seed", "frames", "stride", "scene")
+    }
     facts = {"sequence": dict(source), "movers": {**kept, "panel": [*movers.panel]}}
     if file.exists():
         if read_toml(file) != facts:
-            raise UsageError(f"{file}: from a search with another sequence or movers. Give another folder with -o")
+            raise UsageError(
+                f"{file}: from a search with another sequence or movers. Give another folder with "
+                "-o"
+            )
         return
     file.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(file, tomli_w.dumps(facts).encode())

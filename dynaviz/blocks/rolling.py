@@ -19,26 +19,33 @@ ROOM = 1.3  # blocks per cell, of the same size: a cell that rounding splits nee
 
 Covering = Callable[[I32, float, I64], I32]
 Directory = tuple[I64, I32, I32]  # its shape in super-blocks, ``top`` and ``children``
-Books = tuple[I32, I64, I32, I32, I64]  # blocks per row of children, keys, free blocks and children, and how many
+# blocks per row of children, keys, free blocks and children, and how many
+Books = tuple[I32, I64, I32, I32, I64]
 
 
 def empty_directory(shape: I64, rows: int, capacity: int) -> tuple[Directory, Books]:
-    """A directory without blocks (``kernels/blocks.py``), and the books of what is free (``kernels/window.py``).
+    """A directory without blocks (``kernels/blocks.py``), and the books of what is free
+    (``kernels/window.py``).
 
     Args:
         shape: (3,), number of super-blocks along each axis.
         rows: of children, the first of which stays empty.
         capacity: number of blocks for which there is room.
     """
-    top, children = np.zeros(int(shape.prod()), np.int32), np.zeros((rows, 4096), np.int32)
-    # The last entries are used first, so rows fill from the first on and the others never occupy memory.
-    free, free_children = np.arange(capacity - 1, -1, -1, dtype=np.int32), np.arange(rows - 1, 0, -1, dtype=np.int32)
-    left, keys = np.array([len(free), len(free_children)]), np.zeros((capacity, 3), np.int64)
+    top = np.zeros(int(shape.prod()), np.int32)
+    children = np.zeros((rows, 4096), np.int32)
+    # The last entries are used first, so rows fill from the first on and the others never occupy
+    # memory.
+    free = np.arange(capacity - 1, -1, -1, dtype=np.int32)
+    free_children = np.arange(rows - 1, 0, -1, dtype=np.int32)
+    left = np.array([len(free), len(free_children)])
+    keys = np.zeros((capacity, 3), np.int64)
     return (shape, top, children), (np.zeros(rows, np.int32), keys, free, free_children, left)
 
 
 class RollingDirectory:
-    """Blocks in rows that are used again, and the directory that finds them (``kernels/blocks.py``).
+    """Blocks in rows that are used again, and the directory that finds them
+    (``kernels/blocks.py``).
 
     Args:
         window: which cells exist.
@@ -56,7 +63,8 @@ class RollingDirectory:
     """
 
     def __init__(self, window: Window, per_metre: float, covering: Covering) -> None:
-        self._per_metre, self._covering = per_metre, covering
+        self._per_metre = per_metre
+        self._covering = covering
         self._edge = 8 / per_metre  # of a block, metres
         capacity = round(ROOM * window.room * max((CELL / self._edge) ** 3, 1.0))
         across = math.ceil(2 * (window.limit + 4 * CELL) / (16 * self._edge)) + 2  # super-blocks
@@ -75,9 +83,13 @@ class RollingDirectory:
         window.attach(self)
 
     def neighbours(self) -> I32:
-        """(capacity, 27) int32, kept up to date from the first call on: the blocks around each block; -1 if absent."""
+        """(capacity, 27) int32, kept up to date from the first call on.
+
+        The blocks around each block; -1 if absent.
+        """
         if self._neighbours is None:
-            self._neighbours = np.empty((len(self.exists), 27), np.int32)  # rows are filled when their block comes
+            # rows are filled when their block comes
+            self._neighbours = np.empty((len(self.exists), 27), np.int32)
         return self._neighbours
 
     def grow(self, cells: I32, position: F64) -> bool:
@@ -98,16 +110,20 @@ class RollingDirectory:
         return bool(room)
 
     def shrink(self, position: F64, limit: float) -> None:
-        """Remove the blocks of which no cell is within ``limit`` metres of a position, and reset their state.
+        """Remove the blocks of which no cell is within ``limit`` metres of a position, and reset
+        their state.
 
-        Their rows are used again only after the next call, so that methods which remember numbers of blocks or voxels
-        from the last scan find out with ``exists`` that they are gone.
+        Their rows are used again only after the next call, so that methods which remember numbers
+        of blocks or voxels from the last scan find out with ``exists`` that they are gone.
         """
-        free, left = self._books[2], self._books[4]
+        free = self._books[2]
+        left = self._books[4]
         free[left[0] : left[0] + len(self._gone)] = self._gone
         left[0] += len(self._gone)
         limit += CELL + self._edge  # of centres: half diagonals of both
-        gone = kernels.window.far_blocks(self.blocks, self.exists, position / self._edge, limit / self._edge)
+        gone = kernels.window.far_blocks(
+            self.blocks, self.exists, position / self._edge, limit / self._edge
+        )
         for state, empty in self.states:
             state[gone] = empty
         self.exists[gone] = False
@@ -122,7 +138,8 @@ class RollingDirectory:
         wanted = np.floor(position / (16 * self._edge)).astype(np.int64) - shape // 2
         if np.abs(wanted - base).max() <= FAR // 4:
             return
-        old, new = top.reshape(shape).copy(), np.zeros(shape, np.int32)
+        old = top.reshape(shape).copy()
+        new = np.zeros(shape, np.int32)
         shift = wanted - base
         if (np.abs(shift) < shape).all():
             to = tuple(slice(max(-s, 0), n - max(s, 0)) for s, n in zip(shift, shape, strict=True))

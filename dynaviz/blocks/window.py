@@ -1,4 +1,7 @@
-"""A window that follows the sensor: the extent of live use, whose cells come with the rays and go beyond reach."""
+"""A window that follows the sensor.
+
+The extent of live use, whose cells come with the rays and go beyond reach.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,9 @@ from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.scan import Scan
 
 SLACK = 0.1  # part of the reach by which cells must lie beyond it before they are dropped
-HIGH = 20.0  # metres: the height of the space for which there is room over the whole disc; rarely half of it is needed
+# metres: the height of the space for which there is room over the whole disc; rarely half of it is
+# needed
+HIGH = 20.0
 MOVE = 2 * CELL  # metres that the sensor moves between two looks for what can be dropped
 CROWDED = 0.8  # part of the cells that is kept if there is no room for more
 
@@ -32,16 +37,19 @@ class Follower(Protocol):
         ...
 
     def shrink(self, position: F64, limit: float) -> None:
-        """Drop what lies farther than ``limit`` metres from a position (3,), metres, world frame."""
+        """Drop what lies farther than ``limit`` metres from a position (3,), metres,
+        world frame.
+        """
         ...
 
 
 class Window(Extent):
     """The extent of live use: cells that any ray reached so far, within a distance of the sensor.
 
-    In a recorded sequence the extent is known before the first scan, and only space with points has state. Live, a
-    point may arrive anywhere later, so all space that rays cross has state from then on. Grids made from a window
-    follow it. Call ``follow`` with each scan before the method observes it.
+    In a recorded sequence the extent is known before the first scan, and only space with points has
+    state. Live, a point may arrive anywhere later, so all space that rays cross has state from then
+    on. Grids made from a window follow it. Call ``follow`` with each scan before the method
+    observes it.
 
     Args:
         reach: metres around the sensor. Cells up to a tenth farther are kept if they exist.
@@ -67,8 +75,14 @@ class Window(Extent):
 
     @property
     def farthest(self) -> float:
-        """Metres from the world's origin up to which a sensor may go: all grids reach beyond it by the limit."""
-        return min((follower.farthest for follower in self._cells.followers), default=math.inf) - 1.5 * self.limit
+        """Metres from the world's origin up to which a sensor may go.
+
+        All grids reach beyond it by the limit.
+        """
+        return (
+            min((follower.farthest for follower in self._cells.followers), default=math.inf)
+            - 1.5 * self.limit
+        )
 
     @property
     def room(self) -> int:
@@ -80,7 +94,9 @@ class Window(Extent):
         return self._cells.count
 
     def widened(self, around: float, axes: tuple[int, ...] = (0, 1, 2)) -> Window:
-        """This window, with all cells within ``around`` metres of rays and points, along all axes."""
+        """This window, with all cells within ``around`` metres of rays and points,
+        along all axes.
+        """
         self._cells.around = max(self._cells.around, math.ceil(around / CELL))
         return self
 
@@ -97,7 +113,9 @@ class _Cells:
     """The cells of a window; see ``kernels/window.py``."""
 
     def __init__(self, reach: float, around: int) -> None:
-        self.reach, self.around, self.followers = reach, around, list[Follower]()
+        self.reach = reach
+        self.around = around
+        self.followers = list[Follower]()
         limit = reach * (1 + SLACK) / CELL + around + 2  # cells
         self._size = 1 << math.ceil(math.log2(2 * limit + 4))
         self._flags = np.zeros(self._size**3, np.uint8)
@@ -119,21 +137,26 @@ class _Cells:
             self._crowd_out(scan)
 
     def _visit(self, scan: Scan) -> None:
-        points, origins = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.origins, np.float64)
+        points = kernels.as_readonly(scan.points, np.float32)
+        origins = kernels.as_readonly(scan.origins, np.float64)
         mask = self._size - 1
         to = self.reach, 1.0 / CELL, self.around, self._flags, mask, self.cells, self.count
         self.count = int(kernels.window.visit(points, origins, *to))
 
     def _drop(self, position: F64, limit: float) -> None:
         self._looked = position.copy()
-        far, inner = limit / CELL, limit / CELL - 2 * (self.around + 1)
+        far = limit / CELL
+        inner = limit / CELL - 2 * (self.around + 1)
         to = position / CELL, far, inner, self._flags, self._size - 1, self.cells, self.count
         self.count = int(kernels.window.drop(*to))
         for follower in self.followers:
             follower.shrink(position, limit)
 
     def _crowd_out(self, scan: Scan) -> None:
-        """Drop the farthest cells to make room; memory is bounded even where rays fill all space."""
+        """Drop the farthest cells to make room.
+
+        Memory is bounded even where rays fill all space.
+        """
         centres = (self.cells[: self.count] + 0.5) * CELL
         distances = np.linalg.norm(centres - scan.position, axis=1)
         self._drop(scan.position, float(np.quantile(distances, CROWDED)))

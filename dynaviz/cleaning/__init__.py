@@ -1,4 +1,7 @@
-"""From raw data to a clean map: open anything, estimate poses if there are none, run a method, write the map."""
+"""From raw data to a clean map.
+
+Open anything, estimate poses if there are none, run a method, write the map.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,13 @@ from dynaviz.cleaning.doubt import doubt_of
 from dynaviz.cleaning.trajectory import UsedPoses
 from dynaviz.contracts.scan import Sequence, base_of
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.engine.cleaned_map import Judgement, MapFile, check_voxel_size, region_is_empty, write_maps
+from dynaviz.engine.cleaned_map import (
+    Judgement,
+    MapFile,
+    check_voxel_size,
+    region_is_empty,
+    write_maps,
+)
 from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
@@ -52,24 +61,29 @@ def clean(
 
     Args:
         sequence: an open sequence, a path, or a list of ``(points, pose)``.
-        out: the map: PCD, PLY, LAS, LAZ or NPZ, by its suffix; a folder for Autoware's divided map. The other
-            files of the run are written to a folder next to it, ``clean_run`` for ``clean.laz``.
+        out: the map: PCD, PLY, LAS, LAZ or NPZ, by its suffix; a folder for Autoware's divided map.
+            The other files of the run are written to a folder next to it, ``clean_run`` for
+            ``clean.laz``.
         method: its name.
-        region: ``X0,Y0,X1,Y1`` or ``X0,Y0,Z0,X1,Y1,Z1`` in the coordinates of the map, or a file with the corners of
-            a polygon: the map contains only the points inside. The method sees all points.
+        region: ``X0,Y0,X1,Y1`` or ``X0,Y0,Z0,X1,Y1,Z1`` in the coordinates of the map, or a file
+            with the corners of a polygon: the map contains only the points inside. The method sees
+            all points.
         voxel_size: metres: the map contains one point per voxel, the first one.
         keep_dynamic: file for the removed points, in any of the formats.
-        mark: delete no points. The map has all of them, with the attributes ``dynamic`` (0 static, 1 dynamic, 2 not
-            judged) and ``reason`` (code of the method; ``Cleaned.to_dict`` has the legend).
-        drop_unposed: leave out points that no pose covers, such as those of a merged map outside the trajectory. They
-            are kept otherwise, without judgement, if their place in the world is known.
-        changed: also find what is in one of two drives and not in the other (``Cleaned.changes``). The folder
-            ``clean_changed`` receives maps of it like the clean map, and a recording.
+        mark: delete no points. The map has all of them, with the attributes ``dynamic`` (0 static,
+            1 dynamic, 2 not judged) and ``reason`` (code of the method; ``Cleaned.to_dict`` has the
+            legend).
+        drop_unposed: leave out points that no pose covers, such as those of a merged map outside
+            the trajectory. They are kept otherwise, without judgement, if their place in the world
+            is known.
+        changed: also find what is in one of two drives and not in the other (``Cleaned.changes``).
+            The folder ``clean_changed`` receives maps of it like the clean map, and a recording.
         command, progress: as for ``dynaviz.run``.
-        options: as for ``dynaviz.run``. Without ``poses``, they are estimated with small-gicp if the sequence has none.
-            With ``tiles``, if ``out`` has a suffix, a folder without it receives a file for each square, and
-            ``tiles.json``; otherwise ``out`` is Autoware's divided map, PCD files of 20 m x 20 m with metadata.
-            ``tiles="autoware"`` writes the latter from a run without tiles. No other maps are written.
+        options: as for ``dynaviz.run``. Without ``poses``, they are estimated with small-gicp if
+            the sequence has none. With ``tiles``, if ``out`` has a suffix, a folder without it
+            receives a file for each square, and ``tiles.json``; otherwise ``out`` is Autoware's
+            divided map, PCD files of 20 m x 20 m with metadata. ``tiles="autoware"`` writes the
+            latter from a run without tiles. No other maps are written.
 
     Returns:
         What was done; printing it shows a summary. ``Cleaned.result`` is the result of the run.
@@ -85,7 +99,8 @@ def clean(
     files = _files(Path(out), region, voxel_size, divided, running.tile_size, removed, mark)
     folder = run_folder(Path(out))
     opened = open_source(
-        sequence, opening.without_refinement, folder=folder, estimate_missing=True, progress=progress
+        sequence, opening.without_refinement, folder=folder, estimate_missing=True,
+        progress=progress
     )  # fmt: skip
     if (limit := files[0].region) is not None and region_is_empty(opened, limit):
         hint = "Give it in the coordinates of the map: 'dynaviz info' shows their extent"
@@ -102,19 +117,22 @@ def clean(
         progress=progress,
     )
     used: Sequence = result.answers.sequence  # with refined poses, if they were
-    judgement, followed = (
-        Judgement(result.labels, reasons_by_frame(folder / "labels.npz", result.labels) if mark else None),
-        UsedPoses(used),
+    judgement = Judgement(
+        result.labels, reasons_by_frame(folder / "labels.npz", result.labels) if mark else None
     )
+    followed = UsedPoses(used)
     maps, account = write_maps(used, judgement, files, progress, drop_unposed, followed.add)
     trajectory = folder / "trajectory.csv"
     written = followed.write(trajectory)
     changes = None
     if pair and agreement:
         beside = Path(out).with_name(f"{Path(out).stem}_changed")
-        changes = find_changes(pair, agreement, result, running, files[0], beside, command, progress)
+        changes = find_changes(
+            pair, agreement, result, running, files[0], beside, command, progress
+        )
     sensor = sentence(estimate_sensor(opened)) if opened.sensor.name == Sensor().name else ""
-    facts, source = getattr(base_of(opened), "facts", {}), " ".join(opened.provenance.sources) or "SEQ"
+    facts = getattr(base_of(opened), "facts", {})
+    source = " ".join(opened.provenance.sources) or "SEQ"
     in_world = facts.get("points in", "").startswith("world")
     words = shlex.split(command) or ["dynaviz", "clean", source, "-o", os.fspath(out)]
     doubt = doubt_of(result, account, source, words, opened.estimated is None, in_world)
@@ -150,19 +168,29 @@ def _files(
     mark: bool,
 ) -> list[MapFile]:
     """The maps to write; all options are checked before anything is read."""
-    by_tile = size is not None and bool(out.suffix)  # a file per tile of the run, otherwise Autoware's layout
+    # a file per tile of the run, otherwise Autoware's layout
+    by_tile = size is not None and bool(out.suffix)
     if by_tile or not divided:
         check_map_path(out)
     elif out.suffix or out.is_file():
-        raise UsageError(f"{out}: a divided map is a folder. Give a name without a suffix, such as -o {out.stem}")
+        raise UsageError(
+            f"{out}: a divided map is a folder. Give a name without a suffix, such as -o {out.stem}"
+        )
     if by_tile and out.with_suffix("").is_file():
-        raise UsageError(f"{out.with_suffix('')}: is a file, but the tiles need a folder of this name. Give another -o")
+        raise UsageError(
+            f"{out.with_suffix('')}: is a file, but the tiles need a folder of this name. Give "
+            "another -o"
+        )
     check_voxel_size(voxel_size)
     if mark and voxel_size is not None:
-        raise UsageError("--mark keeps all points, but --voxel-size one per voxel. Give one of the two")
+        raise UsageError(
+            "--mark keeps all points, but --voxel-size one per voxel. Give one of the two"
+        )
     parsed = None if region is None else Region.parse(region)
     if by_tile:
-        map_ = MapFile(out.with_suffix(""), False, False, size, out.suffix, parsed, voxel_size, mark)
+        map_ = MapFile(
+            out.with_suffix(""), False, False, size, out.suffix, parsed, voxel_size, mark
+        )
     else:
         map_ = MapFile(out, tiled=divided, region=parsed, voxel_size=voxel_size, marked=mark)
     files = [map_]

@@ -1,8 +1,9 @@
 """What is in one of two drives and not in the other.
 
-A method labels both drives together, and each one alone. A point that it removes only from both together stood in its
-own drive, and the free space of the other drive shows that it is not there. In cells of ``EDGE``, most points must
-agree. Where no point of the other drive lies in a cell or next to it, the other drive did not see the place.
+A method labels both drives together, and each one alone. A point that it removes only from both
+together stood in its own drive, and the free space of the other drive shows that it is not there.
+In cells of ``EDGE``, most points must agree. Where no point of the other drive lies in a cell or
+next to it, the other drive did not see the place.
 """
 
 from __future__ import annotations
@@ -40,10 +41,14 @@ MERGED = 1 << 22  # cells of scans that are summed up at a time
 
 DISAPPEARED, APPEARED, SEEN_AGAIN, NOT_SEEN, MOVED, NOT_JUDGED = range(6)
 REASONS = (
-    Reason("disappeared", "changed: stood in the first drive, and the second one saw its place empty"),
+    Reason(
+        "disappeared", "changed: stood in the first drive, and the second one saw its place empty"
+    ),
     Reason("appeared", "changed: stood in the second drive, and the first one saw its place empty"),
     Reason("seen_again", "unchanged: the other drive has points here, too"),
-    Reason("not_seen", "unknown: the other drive has no points here, and did not see the place empty"),
+    Reason(
+        "not_seen", "unknown: the other drive has no points here, and did not see the place empty"
+    ),
     Reason("moved", "removed from its own drive as dynamic"),
     Reason("not_judged", "no finite coordinates, or too far from the origin"),
 )
@@ -62,7 +67,8 @@ class Changes:
         counts: (2, 6) int64: points of each drive by reason, as in ``REASONS``.
         agreement: of the drives.
         maps: what was written.
-        folder: files of the comparison; ``drive_1`` and ``drive_2`` are the runs on each drive alone.
+        folder: files of the comparison; ``drive_1`` and ``drive_2`` are the runs on each drive
+            alone.
     """
 
     result: Result
@@ -101,9 +107,12 @@ class Changes:
         yield from (f"- `{each.path}`: {each.points:,} points" for each in self.maps)
         yield ""
         for number, each in enumerate(self.clusters[:LISTED], 1):
-            low, high = np.array(each.low), np.array(each.high)
+            low = np.array(each.low)
+            high = np.array(each.high)
             middle = (low + high) / 2 + origin_of(self.result.answers.sequence)
-            size, place = (", ".join(f"{value:.1f}" for value in values) for values in (high - low, middle))
+            size, place = (
+                ", ".join(f"{value:.1f}" for value in values) for values in (high - low, middle)
+            )
             what = f"{each.did.capitalize()}: {each.points:,} points in {each.frames} frames"
             yield f"{number}. {what}, ({size}) m, at ({place}) m."
         if not self.clusters:
@@ -134,11 +143,17 @@ class Pair:
         whole = base_of(sequence)
         if not isinstance(whole, Drives) or len(whole.parts) != 2:
             number = len(whole.parts) if isinstance(whole, Drives) else 1
-            raise UsageError(f"--changed compares two drives, not {number}. Give two paths: monday/ tuesday/")
+            raise UsageError(
+                f"--changed compares two drives, not {number}. Give two paths: monday/ tuesday/"
+            )
         end = len(whole.parts[0])
-        first = bisect.bisect_left(range(len(sequence)), end, key=lambda position: sequence[position].index)
+        first = bisect.bisect_left(
+            range(len(sequence)), end, key=lambda position: sequence[position].index
+        )
         if not 0 < first < len(sequence):
-            raise UsageError("--changed: --frames selects frames of one drive only. Select frames of both")
+            raise UsageError(
+                "--changed: --frames selects frames of one drive only. Select frames of both"
+            )
         names = tuple(drive.name for drive in whole.parts)
         return cls(sequence, first, names if names[0] != names[1] else ("drive 1", "drive 2"))
 
@@ -192,13 +207,20 @@ def find_changes(
         own = ~alone[which].labels[row]
         return own, own & together.labels[position]
 
-    record = "errors" if Path(options.record).suffix == ".rrd" else options.record  # that file has the other run
+    # that file has the other run
+    record = "errors" if Path(options.record).suffix == ".rrd" else options.record
     recording, mode = recording_of(record, folder)
-    labeller = _Labeller(together.method, pair.first, stood, _cells(sequence, pair.first, stood, progress))
+    labeller = _Labeller(
+        together.method, pair.first, stood, _cells(sequence, pair.first, stood, progress)
+    )
     spec = RunSpec(
         labeller=labeller,
         sequence=OpenedSequence(  # its ground truth, of what moves, says nothing about what changed
-            WithoutTruth(sequence), range(len(sequence)), sequence.sensor, sequence.name, provenance(sequence)
+            WithoutTruth(sequence),
+            range(len(sequence)),
+            sequence.sensor,
+            sequence.name,
+            provenance(sequence),
         ),
         params=NoParams(),
         metrics=metrics_of(labeller.info),
@@ -212,7 +234,8 @@ def find_changes(
     files = [
         replace(
             file,
-            path=folder / f"{NAMES[code]}{'' if file.tiled or file.tile_size else file.path.suffix}",
+            path=folder
+            / f"{NAMES[code]}{'' if file.tiled or file.tile_size else file.path.suffix}",
             removed=code != NOT_SEEN,
             marked=False,
             reason=code,
@@ -245,10 +268,13 @@ class _Cells:
 
 
 Stood = Callable[[int], tuple[Bool, Bool]]
-"""Of the points of the scan at a position: whether each stood in its own drive, and of these, whether it changed."""
+"""Of the points of the scan at a position: whether each stood in its own drive, and of these,
+whether it changed."""
 
 
-def _cells(sequence: Sequence, first: int, stood: Stood, progress: Progress) -> tuple[_Cells, _Cells]:
+def _cells(
+    sequence: Sequence, first: int, stood: Stood, progress: Progress
+) -> tuple[_Cells, _Cells]:
     """The cells of both drives; memory grows with the area of the map."""
     tables = _Table(), _Table()
     for position, scan in enumerate(stream(sequence)):
@@ -259,7 +285,8 @@ def _cells(sequence: Sequence, first: int, stood: Stood, progress: Progress) -> 
     found = [table.summed() for table in tables]
     still = [keys[points > changed] for keys, points, changed in found]
     return tuple(
-        _Cells(keys, 2 * changed > points, _near(keys, still[1 - k])) for k, (keys, points, changed) in enumerate(found)
+        _Cells(keys, 2 * changed > points, _near(keys, still[1 - k]))
+        for k, (keys, points, changed) in enumerate(found)
     )  # type: ignore[return-value]
 
 
@@ -284,10 +311,13 @@ class _Table:
         """Count points, (N,) keys of their cells, and those of them that changed."""
         found, of = np.unique(keys, return_inverse=True)
         number = len(found)
-        self._parts.append((found, np.bincount(of, minlength=number), np.bincount(of[changed], minlength=number)))
+        self._parts.append(
+            (found, np.bincount(of, minlength=number), np.bincount(of[changed], minlength=number))
+        )
         self._waiting += number
         if self._waiting > MERGED:
-            self._parts, self._waiting = [self.summed()], 0
+            self._parts = [self.summed()]
+            self._waiting = 0
 
     def summed(self) -> tuple[I64, I64, I64]:
         """Keys of the cells in order, their points, and those that changed."""
@@ -309,16 +339,21 @@ class _Labeller:
     def __init__(self, method: str, first: int, stood: Stood, cells: tuple[_Cells, _Cells]) -> None:
         title = f"What changed, by {method}"
         self.info = MethodInfo("changed", title, "two drives of one place", REASONS, compares=True)
-        self._first, self._stood, self._cells = first, stood, cells
-        self._next, self.counts = 0, np.zeros((2, len(REASONS)), np.int64)
+        self._first = first
+        self._stood = stood
+        self._cells = cells
+        self._next = 0
+        self.counts = np.zeros((2, len(REASONS)), np.int64)
 
     def begin(self, context: Context) -> None:
         """Start with the first scan."""
-        self._next, self.counts[:] = 0, 0
+        self._next = 0
+        self.counts[:] = 0
 
     def label(self, scan: Scan) -> Labels:
         """Label the scans in order: "dynamic" is what changed."""
-        position, self._next = self._next, self._next + 1
+        position = self._next
+        self._next = self._next + 1
         which = int(position >= self._first)
         own, changed = self._stood(position)
         reasons = np.where(own, NOT_JUDGED, MOVED).astype(np.uint8)

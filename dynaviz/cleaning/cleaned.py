@@ -1,4 +1,7 @@
-"""What a cleaning did, on one page: removed points by reason and range, suspicious clusters, poses, files."""
+"""What a cleaning did, on one page.
+
+Removed points by reason and range, suspicious clusters, poses, files.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +74,8 @@ class Cleaned:
 
     def to_dict(self) -> dict[str, Any]:
         """The summary in plain values, for JSON."""
-        found, run = self.removals, self.result
+        found = self.removals
+        run = self.result
         poses = self.poses and {
             "odometry": self.poses.odometry,
             "version": self.poses.version,
@@ -89,10 +93,16 @@ class Cleaned:
             "account": msgspec.to_builtins(self.account),
             "doubt": self.doubt and asdict(self.doubt),
             "metrics": dict(run.metrics),
-            "maps": [{"file": str(m.path), "points": m.points, "attributes": list(m.attributes)} for m in self.maps],
+            "maps": [
+                {"file": str(m.path), "points": m.points, "attributes": list(m.attributes)}
+                for m in self.maps
+            ],
             "marked": self.marked,
             "poses": poses,
-            "poses_used": {"source": self.facts.get("poses"), "file": self.trajectory and str(self.trajectory)},
+            "poses_used": {
+                "source": self.facts.get("poses"),
+                "file": self.trajectory and str(self.trajectory),
+            },
             "pose_noise": msgspec.to_builtins(run.pose_noise),
             "pose_refinement": msgspec.to_builtins(run.pose_refinement),
             "pose_findings": msgspec.to_builtins(run.pose_findings),
@@ -108,7 +118,10 @@ class Cleaned:
 
     @property
     def clusters(self) -> tuple[RemovedCluster, ...]:
-        """Clusters of removed points, the most suspicious first; of equal suspicion, the largest first."""
+        """Clusters of removed points, the most suspicious first.
+
+        Of equal suspicion, the largest first.
+        """
         return tuple(sorted(self.result.clusters, key=lambda each: (-each.suspicion, -each.points)))
 
     def _reason_names(self) -> list[str]:
@@ -121,7 +134,8 @@ class Cleaned:
         return addressed("\n".join(self._lines()))
 
     def _lines(self) -> Iterator[str]:
-        run, found = self.result, self.removals
+        run = self.result
+        found = self.removals
         yield f"# {run.sequence.name}, cleaned with {run.method}"
         yield ""
         if self.doubt:
@@ -138,48 +152,82 @@ class Cleaned:
             yield f"- `{self.trajectory}`: the poses that were used; `--poses` reads them"
         if self.marked:
             legend = ", ".join(f"{code} {name}" for code, name in enumerate(self._reason_names()))
-            yield f"\nThe map has all points. `dynamic`: 0 static, 1 dynamic, 2 not judged. `reason`: {legend}."
+            yield (
+                "\nThe map has all points. `dynamic`: 0 static, 1 dynamic, 2 not judged. "
+                f"`reason`: {legend}."
+            )
         yield from self._about_poses()
         if self.changes:
             yield from self.changes.lines()
         yield from _table("Removed by reason", "reason", list(found.reasons.items()), found.removed)
         rows = [(_interval(r.low, r.high), r.removed, r.points) for r in found.range if r.points]
-        yield from ["", "## Removed by range", "", "| range | removed | points | share |", "|---|---:|---:|---:|"]
-        yield from (f"| {name} | {n:,} | {total:,} | {100 * n / total:.1f} % |" for name, n, total in rows)
+        yield from [
+            "",
+            "## Removed by range",
+            "",
+            "| range | removed | points | share |",
+            "|---|---:|---:|---:|",
+        ]
+        yield from (
+            f"| {name} | {n:,} | {total:,} | {100 * n / total:.1f} % |" for name, n, total in rows
+        )
         yield from self._cases()
         yield ""
 
     def _about_poses(self) -> Iterator[str]:
         if self.poses is not None:
-            yield f"\nPoses were estimated with {self.poses}. They are in `{self.poses.file}`; `--poses` reads them."
+            yield (
+                f"\nPoses were estimated with {self.poses}. They are in `{self.poses.file}`; "
+                "`--poses` reads them."
+            )
         elif "poses" in self.facts:
             yield f"\nPoses: {self.facts['poses']}."
         if refined := self.result.pose_refinement:
-            yield f"\nPoses were refined: {refined}. They are in `{self.folder / 'poses_refined.csv'}`."
+            yield (
+                f"\nPoses were refined: {refined}. They are in "
+                f"`{self.folder / 'poses_refined.csv'}`."
+            )
         elif noise := self.result.pose_noise:
             yield f"\nPose noise: {noise}{_ADVICE if noise.translation_m > NOISY else ''}."
         if self.sensor:
-            yield f"\nThe sensor is unknown. Estimated from the scans: {self.sensor}. `--sensor` overrides this."
+            yield (
+                f"\nThe sensor is unknown. Estimated from the scans: {self.sensor}. `--sensor` "
+                "overrides this."
+            )
 
     def _cases(self) -> Iterator[str]:
-        """The clusters to look at first, or the scores and failures of a sequence with ground truth."""
+        """The clusters to look at first, or the scores and failures of a sequence with ground
+        truth.
+        """
         if self.result.has_truth:
             named = {name: self.result.metrics.get(name) for name in ("SA", "DA", "AA")}
-            scores = ", ".join(f"{name} {value:.2f}" for name, value in named.items() if value is not None)
+            scores = ", ".join(
+                f"{name} {value:.2f}" for name, value in named.items() if value is not None
+            )
             yield from ["", f"## Scores: {scores}", ""]
-            yield from (f"{n}. {case.sentence}" for n, case in enumerate(self.result.failures[:CASES], 1))
+            yield from (
+                f"{n}. {case.sentence}" for n, case in enumerate(self.result.failures[:CASES], 1)
+            )
             return
         clusters = self.clusters
         yield from ["", "## Look at these first", ""]
         if not clusters:
             yield "No removed points form a cluster."
             return
-        yield "Clusters of removed points that may be static. Suspicion runs from 0 (mover) to 1 (static surface).\n"
-        yield from (f"{n}. {c.suspicion:.2f}: {c.sentence} {self._place(c)}" for n, c in enumerate(clusters[:CASES], 1))
+        yield (
+            "Clusters of removed points that may be static. Suspicion runs from 0 (mover) to 1 "
+            "(static surface).\n"
+        )
+        yield from (
+            f"{n}. {c.suspicion:.2f}: {c.sentence} {self._place(c)}"
+            for n, c in enumerate(clusters[:CASES], 1)
+        )
 
     def _place(self, cluster: RemovedCluster) -> str:
         """The middle of a cluster, in the coordinates of the map."""
-        middle = (np.array(cluster.low) + np.array(cluster.high)) / 2 + origin_of(self.result.answers.sequence)
+        middle = (np.array(cluster.low) + np.array(cluster.high)) / 2 + origin_of(
+            self.result.answers.sequence
+        )
         return f"At {', '.join(f'{x:.1f}' for x in middle)} m."
 
     def __str__(self) -> str:

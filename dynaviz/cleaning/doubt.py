@@ -36,17 +36,30 @@ class Doubt:
 
     def lines(self) -> tuple[str, ...]:
         """What to tell the user."""
-        return self.problem, f"Likeliest cause: {self.cause}", *([f"Try: {self.command}"] if self.command else [])
+        return (
+            self.problem,
+            f"Likeliest cause: {self.cause}",
+            *([f"Try: {self.command}"] if self.command else []),
+        )
 
     def __rich__(self) -> RenderableType:
         from rich.panel import Panel
         from rich.text import Text
 
-        return Panel(Text("\n".join(self.lines())), title="check this map before you use it", style="bold red")
+        return Panel(
+            Text("\n".join(self.lines())),
+            title="check this map before you use it",
+            style="bold red",
+        )
 
 
 def doubt_of(
-    result: Result, account: PointAccount, source: str, words: Sequence[str], given: bool, in_world: bool
+    result: Result,
+    account: PointAccount,
+    source: str,
+    words: Sequence[str],
+    given: bool,
+    in_world: bool,
 ) -> Doubt | None:
     """What is doubtful about a cleaning; None if nothing is.
 
@@ -67,14 +80,22 @@ def doubt_of(
     if result.pose_findings:
         found = result.pose_findings[0]
         option = found.option or estimating
-        return Doubt(f"The poses are likely wrong; {removed}", f"{found}.", _with(words, option) or doctor)
+        return Doubt(
+            f"The poses are likely wrong; {removed}", f"{found}.", _with(words, option) or doctor
+        )
     noise = result.pose_noise
     if noise is not None and noise.translation_m > NOISY:
-        return Doubt(f"{removed}.", f"noisy poses ({noise})", _with(words, "--refine-poses") or doctor)
+        return Doubt(
+            f"{removed}.", f"noisy poses ({noise})", _with(words, "--refine-poses") or doctor
+        )
     if given:
-        cause = "poses that do not fit the scans: of another sensor, in other axes, or on another clock"
+        cause = (
+            "poses that do not fit the scans: of another sensor, in other axes, or on another clock"
+        )
         return Doubt(f"{removed}.", cause, _with(words, estimating) or doctor)
-    cause = "estimated poses that drift or lost track. Give those of a SLAM system with --poses FILE"
+    cause = (
+        "estimated poses that drift or lost track. Give those of a SLAM system with --poses FILE"
+    )
     return Doubt(f"{removed}.", cause, doctor)
 
 

@@ -1,4 +1,6 @@
-"""The trajectory with which a map was cleaned, in the coordinates and on the clock of the source."""
+"""The trajectory with which a map was cleaned, in the coordinates and on the clock of
+the source.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +19,21 @@ from dynaviz.sources.odometry.pose_table import write_pose_rows
 from dynaviz.spatial.trajectory import HasTrajectories, Moved, PosesOverTime, Trajectory
 
 PER_SWEEP = 5
-"""Poses of a sweep whose points have times: the first and last, and between them, so that straight lines follow."""
+"""Poses of a sweep whose points have times: the first and last, and between them, so that straight
+lines follow."""
 
 
 class UsedPoses:
     """Collects the poses of scans, to write them as a file that ``--poses`` reads.
 
     Args:
-        sequence: the scans are its frames, in order. The poses of several lidars have a column with their number.
+        sequence: the scans are its frames, in order. The poses of several lidars have a column with
+            their number.
     """
 
     def __init__(self, sequence: Sequence) -> None:
-        self._sequence, base = sequence, base_of(sequence)
+        self._sequence = sequence
+        base = base_of(sequence)
         self._lidar = base.order[:, 0] if isinstance(base, Lidars) else None
         self._scans = defaultdict[int, list[tuple[int, int | None, F64]]](list)
         self._times = defaultdict[int, list[I64]](list)
@@ -43,13 +48,18 @@ class UsedPoses:
         times.append(np.array([scan.stamp_ns]))
         if scan.times is not None and len(finite := scan.times[np.isfinite(scan.times)]):
             first, last = (round(float(t) * 1e9) for t in (finite.min(), finite.max()))
-            # Times of points are rounded to float32, within 10 ns in a sweep: the table reaches as far on both sides.
-            times.append(scan.stamp_ns + np.linspace(first - 100, last + 100, PER_SWEEP).astype(np.int64))
+            # Times of points are rounded to float32, within 10 ns in a sweep: the table reaches as
+            # far on both sides.
+            times.append(
+                scan.stamp_ns + np.linspace(first - 100, last + 100, PER_SWEEP).astype(np.int64)
+            )
 
     def write(self, file: Path) -> bool:
         """Write the table; False if there is none to write."""
-        origin, known = origin_of(self._sequence), self._known()
-        rows, lidars = list[tuple[int, F64]](), list[int]()
+        origin = origin_of(self._sequence)
+        known = self._known()
+        rows = list[tuple[int, F64]]()
+        lidars = list[int]()
         for lidar in sorted(known or self._scans):
             if known:
                 times = np.unique(np.concatenate(self._times.get(lidar, self._times[0])))
@@ -64,7 +74,10 @@ class UsedPoses:
 
     def _known(self) -> Mapping[int, PosesOverTime]:
         """The poses over time of each lidar; empty if scans of one have no stamps, or the same."""
-        at = {k: {stamp: T for _, stamp, T in scans if stamp is not None} for k, scans in self._scans.items()}
+        at = {
+            k: {stamp: T for _, stamp, T in scans if stamp is not None}
+            for k, scans in self._scans.items()
+        }
         if any(len(at[k]) < len(scans) for k, scans in self._scans.items()):
             return {}
         whole: Sequence = self._sequence

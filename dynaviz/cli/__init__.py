@@ -1,4 +1,7 @@
-"""The command line: one small file per command. Heavy modules are imported only by the commands that need them."""
+"""The command line: one small file per command.
+
+Heavy modules are imported only by the commands that need them.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,8 @@ __all__ = ["CommandLineError", "app", "main"]
 app = typer.Typer(
     name="dynaviz",
     cls=Commands,
-    help="Remove dynamic points from LiDAR maps, score the result point by point, and replay every error.",
+    help="Remove dynamic points from LiDAR maps, score the result point by point, and replay every "
+    "error.",
     epilog="Start with: dynaviz demo",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -35,7 +39,8 @@ app = typer.Typer(
 )
 for name in itertools.chain(*GROUPS.values()):
     module = vars(importlib.import_module(f"{__name__}.{name}"))
-    app.command(name, cls=Command)(module[f"{name}_" if f"{name}_" in module else name])  # list_, not to hide list
+    # list_, not to hide list
+    app.command(name, cls=Command)(module[f"{name}_" if f"{name}_" in module else name])
 
 
 def _show_version(wanted: bool) -> None:
@@ -49,16 +54,22 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and exit."
+        ),
     ] = False,
 ) -> None:
-    """Remove dynamic points from LiDAR maps, score the result point by point, and replay every error."""
+    """Remove dynamic points from LiDAR maps, score the result point by point, and replay every
+    error.
+    """
 
 
 def main() -> None:
     """Run a command.
 
-    Exit codes: 0 done, 1 a check failed, 2 wrong usage or unusable input, 130 interrupted, 143 terminated.
+    Exit codes: 0 done, 1 a check failed, 2 wrong usage or unusable input, 130 interrupted, 143
+    terminated.
     """
     signal.signal(signal.SIGTERM, _terminate)
     try:
@@ -82,7 +93,11 @@ def _run_command() -> None:
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
-        print("dynaviz:", DataError(error.filename, "File name too long", hint="Give a shorter path"), file=sys.stderr)
+        print(
+            "dynaviz:",
+            DataError(error.filename, "File name too long", hint="Give a shorter path"),
+            file=sys.stderr,
+        )
         sys.exit(2)
     except BaseException as error:
         if not interrupted(error):
@@ -93,16 +108,27 @@ def _run_command() -> None:
 def _leave(code: Any, end: BaseException) -> NoReturn:
     """Exit; if a signal ended the command, say so."""
     if code in (130, 143):
-        print("dynaviz:", "interrupted." if code == 130 else "terminated.", *_notes(end), file=sys.stderr)
+        print(
+            "dynaviz:",
+            "interrupted." if code == 130 else "terminated.",
+            *_notes(end),
+            file=sys.stderr,
+        )
     sys.exit(code)
 
 
 @contextlib.contextmanager
 def _one_line_warnings() -> Iterator[None]:
-    """Print each warning for users once, in one line. Warnings for programmers keep Python's format."""
-    printed, showwarning = set(), warnings.showwarning
+    """Print each warning for users once, in one line.
 
-    def show(message: Warning | str, category: type[Warning], *location: Any, **options: Any) -> None:
+    Warnings for programmers keep Python's format.
+    """
+    printed = set()
+    showwarning = warnings.showwarning
+
+    def show(
+        message: Warning | str, category: type[Warning], *location: Any, **options: Any
+    ) -> None:
         line = f"dynaviz: warning: {str(message).removesuffix('.')}."
         if not issubclass(category, UserWarning):
             showwarning(message, category, *location, **options)

@@ -34,7 +34,10 @@ def bench(
         typer.Argument(metavar="BENCH.toml", help="Plan of the bench, a TOML file."),
     ] = None,
     methods: Annotated[
-        list[str] | None, typer.Option("-m", "--method", metavar="M", help="Method to run. Repeatable. [default: all]")
+        list[str] | None,
+        typer.Option(
+            "-m", "--method", metavar="M", help="Method to run. Repeatable. [default: all]"
+        ),
     ] = None,
     sequences: Annotated[
         list[str] | None,
@@ -45,27 +48,45 @@ def bench(
             help="[NAME=]sequence folder, bag or simulate:SCENE[:FRAMES[:SEED]]. Repeatable.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Output folder; each run has its own subfolder.")] = ...,  # type: ignore[assignment]
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Output folder; each run has its own subfolder.")
+    ] = ...,  # type: ignore[assignment]
     workers: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Number of parallel runs, which share the cores. [default: 1]"),
+        typer.Option(
+            min=1, metavar="N", help="Number of parallel runs, which share the cores. [default: 1]"
+        ),
     ] = None,
     timing: Annotated[
-        bool, typer.Option("--timing", help="Measure comparable runtimes: one run at a time, all cores, no recording.")
+        bool,
+        typer.Option(
+            "--timing",
+            help="Measure comparable runtimes: one run at a time, all cores, no recording.",
+        ),
     ] = False,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run on a Dask cluster, such as tcp://HOST:8786.")
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Run on a Dask cluster, such as tcp://HOST:8786."),
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume/--fresh", help="Keep finished runs, or run all again.")] = True,
+    resume: Annotated[
+        bool, typer.Option("--resume/--fresh", help="Keep finished runs, or run all again.")
+    ] = True,
     record: Annotated[
-        RecordModeOption | None, typer.Option(help="How much to record in each run.rrd. [default: errors]")
+        RecordModeOption | None,
+        typer.Option(help="How much to record in each run.rrd. [default: errors]"),
     ] = None,
     grid: Annotated[
         list[str] | None,
-        typer.Option(metavar="METHOD.PARAM=V1,V2", help="Run with each value. Repeat for all combinations."),
+        typer.Option(
+            metavar="METHOD.PARAM=V1,V2", help="Run with each value. Repeat for all combinations."
+        ),
     ] = None,
-    search: Annotated[SearchKind | None, typer.Option(help="Search for the parameters with the best AA.")] = None,
-    trials: Annotated[int | None, typer.Option(min=1, metavar="N", help="Number of trials per method.")] = None,
+    search: Annotated[
+        SearchKind | None, typer.Option(help="Search for the parameters with the best AA.")
+    ] = None,
+    trials: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Number of trials per method.")
+    ] = None,
     ranges: Annotated[
         list[str] | None,
         typer.Option(
@@ -76,7 +97,10 @@ def bench(
     ] = None,
     holdout: Annotated[
         list[str] | None,
-        typer.Option(metavar="SEQ", help="Sequence to exclude from the search and run at the end. Repeatable."),
+        typer.Option(
+            metavar="SEQ",
+            help="Sequence to exclude from the search and run at the end. Repeatable.",
+        ),
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="Random seed of the search. [default: 0]")
@@ -102,7 +126,9 @@ def bench(
     from dynaviz.benchmarking.plan_file import read
 
     table = read(file) if file else {}
-    table = {key: value for key, value in table.items() if key not in _overridden(timing, scheduler)}
+    table = {
+        key: value for key, value in table.items() if key not in _overridden(timing, scheduler)
+    }
     opening = {name: value for name, value in options.items() if value != DEFAULTS.get(name)}
     table |= _given(
         methods=methods,
@@ -119,7 +145,9 @@ def bench(
             board = run(table, out, scheduler=scheduler, fresh=not resume, callbacks=callbacks)
     except KeyboardInterrupt as error:
         again = "without --fresh " if not resume else ""
-        error.add_note(f"Finished runs are kept in {out}. The same command {again}continues with the others")
+        error.add_note(
+            f"Finished runs are kept in {out}. The same command {again}continues with the others"
+        )
         raise
     show(board, *map(escape, _summary(board, out)))
     if board.failed:
@@ -135,7 +163,9 @@ def _overridden(timing: bool, scheduler: str | None) -> tuple[str, ...]:
 
 def _given(**flags: Any) -> dict[str, Any]:
     """The options that were given, including a 0."""
-    return {key: value for key, value in flags.items() if value or (value == 0 and value is not False)}
+    return {
+        key: value for key, value in flags.items() if value or (value == 0 and value is not False)
+    }
 
 
 def _grid_and_search(
@@ -168,14 +198,26 @@ def _summary(board: Leaderboard, out: Path) -> Iterator[str]:
         default = "n/a" if found.default_aa is None else f"{found.default_aa:.2f}"
         trials = f"{found.trials} trials" + (f" ({found.failed} failed)" if found.failed else "")
         if found.best.variant:
-            yield f"{found.best.method}: best AA {found.aa:.2f} of {trials}; the default parameters have AA {default}."
+            yield (
+                f"{found.best.method}: best AA {found.aa:.2f} of {trials}; the default parameters "
+                f"have AA {default}."
+            )
         else:
-            yield f"{found.best.method}: none of {trials} is better than the default parameters, AA {default}."
-        yield f"Use these parameters with: dynaviz run {found.best.method} SEQ --config {found.preset}"
+            yield (
+                f"{found.best.method}: none of {trials} is better than the default parameters, AA "
+                f"{default}."
+            )
+        yield (
+            f"Use these parameters with: dynaviz run {found.best.method} SEQ --config "
+            f"{found.preset}"
+        )
     every = [*board.rows, *board.trials]
-    kept, failed = sum(row.kept for row in every), len(board.failed)
+    kept = sum(row.kept for row in every)
+    failed = len(board.failed)
     finished = len(every) - failed
-    done = f"{finished} run{'s' * (finished != 1)} finished" + (f" ({kept} from before)" if kept else "")
+    done = f"{finished} run{'s' * (finished != 1)} finished" + (
+        f" ({kept} from before)" if kept else ""
+    )
     for reason, rows in itertools.groupby(sorted(row.outdated for row in every if row.outdated)):
         number = len(list(rows))
         yield f"{number} run{'s' * (number != 1)} repeated: {reason}."
@@ -183,7 +225,8 @@ def _summary(board: Leaderboard, out: Path) -> Iterator[str]:
     yield f"Click the failures of a run, and see why: {program()} explore {out}/SEQUENCE/METHOD"
     if board.failed:
         log = board.failed[0].folder / "error.log"
-        file = log if log.is_file() else log.with_name("error.json")  # a cell that never ran has no log
+        # a cell that never ran has no log
+        file = log if log.is_file() else log.with_name("error.json")
         yield f"For the first error see {file}. The same command repeats only the unfinished runs."
 
 

@@ -1,4 +1,6 @@
-"""Progress of a bench: bars of what is running on a terminal, and a line for each run that has ended."""
+"""Progress of a bench: bars of what is running on a terminal, and a line for each run that has
+ended.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ class BenchProgress(BenchCallbacks):
     """
 
     def __init__(self, report: Progress, cells: bool):
-        self._report, self._cells = report, cells
+        self._report = report
+        self._cells = cells
         self._planned = self._ended = self._ran = 0
         self._since = time.monotonic()
 
@@ -45,11 +48,16 @@ class BenchProgress(BenchCallbacks):
         self._ended += 1
         self._ran += not row.kept
         place = f"{row.cell.path.name} on {row.cell.source.name}"
-        print(f"[{self._ended}/{self._planned}{self._left()}] {place}: {outcome(row)}", file=sys.stderr, flush=True)
+        print(
+            f"[{self._ended}/{self._planned}{self._left()}] {place}: {outcome(row)}",
+            file=sys.stderr,
+            flush=True,
+        )
 
     def _left(self) -> str:
         """Time left, such as ``, 5 min left``; empty if unknown or if no cell is left."""
-        seconds, more = time.monotonic() - self._since, self._planned - self._ended
+        seconds = time.monotonic() - self._since
+        more = self._planned - self._ended
         return f", {duration(seconds / self._ran * more)} left" if self._ran and more > 0 else ""
 
 

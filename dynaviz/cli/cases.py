@@ -1,4 +1,6 @@
-"""Failure cases and clusters of removed points in the terminal, with hanging indents at any width."""
+"""Failure cases and clusters of removed points in the terminal, with hanging indents
+at any width.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ if TYPE_CHECKING:
     from dynaviz.scores.sections import Removals
 
 TOP = 3  # listed after a run
-RANKING = "Ordered by suspicion, from 0 (looks like a mover) to 1 (looks like a static surface), times points."
+RANKING = (
+    "Ordered by suspicion, from 0 (looks like a mover) to 1 (looks like a static surface), times "
+    "points."
+)
 
 
 def listing(cases: Sequence[FailureCase | RemovedCluster], details: bool = True) -> RenderableType:
@@ -53,26 +58,37 @@ def top_of(result: Result, command: str) -> tuple[RenderableType, ...]:
 
 
 def _weight(case: FailureCase | RemovedCluster) -> str:
-    return f"-{case.cost:.2f} % {case.metric}" if isinstance(case, FailureCase) else f"{case.suspicion:.2f}"
+    return (
+        f"-{case.cost:.2f} % {case.metric}"
+        if isinstance(case, FailureCase)
+        else f"{case.suspicion:.2f}"
+    )
 
 
 def _details(case: FailureCase | RemovedCluster) -> str:
     low, high = (" ".join(f"{x:.1f}" for x in corner) for corner in (case.low, case.high))
     frames = f"frames {case.first_frame} to {case.last_frame}, worst {case.worst_frame}"
     cause = f"{case.cause}: " if isinstance(case, FailureCase) and case.cause else ""
-    return f"{case.points:,} points, {frames}, from ({low}) to ({high}) m; {cause}{main_reasons(case.reasons)}"
+    return (
+        f"{case.points:,} points, {frames}, from ({low}) to ({high}) m; "
+        f"{cause}{main_reasons(case.reasons)}"
+    )
 
 
 def main_reasons(reasons: Mapping[str, int], most: int = 3) -> str:
     """The most frequent reasons with their shares."""
     total = sum(reasons.values())
     return ", ".join(
-        f"{name} {100 * count / total:.0f}\N{NO-BREAK SPACE}%" for name, count in list(reasons.items())[:most]
+        f"{name} {100 * count / total:.0f}\N{NO-BREAK SPACE}%"
+        for name, count in list(reasons.items())[:most]
     )
 
 
 def show_failures(run: Path, top: int, json: Path | None) -> None:
-    """Print the ``top`` costliest failure cases of a run; without ground truth, clusters of removed points."""
+    """Print the ``top`` costliest failure cases of a run.
+
+    Without ground truth, clusters of removed points.
+    """
     import msgspec
 
     section = _section(run)
@@ -92,17 +108,28 @@ def _clusters(section: Removals, top: int) -> list[RenderableType]:
     lines = ["There is no ground truth, so it is unknown which points are wrong."]
     if not section.removed:
         return [*lines, "No point was removed."]
-    share = f"{section.removed:,} of {section.points:,} points were removed ({section.percent:.2f} %)"
+    share = (
+        f"{section.removed:,} of {section.points:,} points were removed ({section.percent:.2f} %)"
+    )
     more = max(len(section.clusters) - top, 0) + section.others.cases
     found: list[RenderableType] = [*lines, f"{share}: {main_reasons(section.reasons)}."]
     if not section.clusters:
-        return [*found, "The recording contains no clusters of removed points. Run the method again to find them."]
-    found += [f"Clusters of removed points, most suspicious first. {RANKING}", listing(section.clusters[:top])]
+        return [
+            *found,
+            "The recording contains no clusters of removed points. Run the method again to find "
+            "them.",
+        ]
+    found += [
+        f"Clusters of removed points, most suspicious first. {RANKING}",
+        listing(section.clusters[:top]),
+    ]
     return [*found, f"{more:,} more clusters."]
 
 
 def _section(run: Path) -> Failures | Removals:
-    """The failures of a run, or its removals without ground truth, from its result file or its recording."""
+    """The failures of a run, or its removals without ground truth, from its result file or its
+    recording.
+    """
     from dynaviz.errors import DataError
     from dynaviz.runs.run import open_run
 
@@ -110,6 +137,10 @@ def _section(run: Path) -> Failures | Removals:
     result = open_run(run if whole else run_in(run)).result
     section = result.sections.failures if result.has_truth else result.sections.removals
     if section is None:
-        problem = "has no failure cases" if result.has_truth else "has no ground truth and no section on removed points"
+        problem = (
+            "has no failure cases"
+            if result.has_truth
+            else "has no ground truth and no section on removed points"
+        )
         raise DataError(run, problem, hint="Run the method again")
     return section

@@ -20,23 +20,39 @@ ROWS = 40  # rows of a table; passed checks beyond that are only counted
 
 def check(
     results: Annotated[
-        list[Path], typer.Argument(metavar="RESULT.json|DIR...", help="Result files, or folders to search for them.")
+        list[Path],
+        typer.Argument(
+            metavar="RESULT.json|DIR...", help="Result files, or folders to search for them."
+        ),
     ],
     minima: Annotated[
         list[str] | None,
-        typer.Option("--min", metavar="METRIC=PERCENT", help="Minimum value of a metric. Repeatable."),
+        typer.Option(
+            "--min", metavar="METRIC=PERCENT", help="Minimum value of a metric. Repeatable."
+        ),
     ] = None,
     baseline: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Earlier results: a baseline file, or the result.json of a run.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Earlier results: a baseline file, or the result.json of a run."
+        ),
     ] = None,
     tolerance: Annotated[
         float,
-        typer.Option(min=0.0, help="Allowed drop of SA, DA, AA and HA against the baseline, in percentage points."),
+        typer.Option(
+            min=0.0,
+            help="Allowed drop of SA, DA, AA and HA against the baseline, in percentage points.",
+        ),
     ] = 0.5,
     write_baseline: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write these results to a baseline file if all checks pass.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write these results to a baseline file if all checks pass."
+        ),
     ] = None,
-    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the checks as JUnit XML.")] = None,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the checks as JUnit XML.")
+    ] = None,
 ) -> None:
     """Check results against limits or a baseline.
 
@@ -57,7 +73,9 @@ def check(
     limits = [_limit(text) for text in minima or []]
     entries = None if baseline is None else core.read_baseline(baseline)
     cells = collect(results)
-    checked = core.check(cells, limits, entries, tolerance, complete=any(path.is_dir() for path in results))
+    checked = core.check(
+        cells, limits, entries, tolerance, complete=any(path.is_dir() for path in results)
+    )
     if checked.values:
         show(*_remarks(checked, failed=True), table(checked), *_remarks(checked, failed=False))
         show(_summary(checked, len(cells), baseline))
@@ -80,7 +98,9 @@ def _limit(text: str) -> tuple[str, float]:
     try:
         return name.strip(), float(value)
     except ValueError:
-        raise UsageError(f"--min {text}: give a metric and its minimum in percent, such as AA=90") from None
+        raise UsageError(
+            f"--min {text}: give a metric and its minimum in percent, such as AA=90"
+        ) from None
 
 
 def _summary(checked: RegressionCheck, results: int, baseline: Path | None) -> str:
@@ -90,10 +110,17 @@ def _summary(checked: RegressionCheck, results: int, baseline: Path | None) -> s
     total = sum(value.outcome is not CheckOutcome.INFO for value in checked.values)
     improved = {value.run for value in checked.values if value.outcome is CheckOutcome.IMPROVED}
     failed = len(checked.failed)
-    head = f"{failed} of {_counted(total, 'check')} failed" if failed else f"all {_counted(total, 'check')} passed"
+    head = (
+        f"{failed} of {_counted(total, 'check')} failed"
+        if failed
+        else f"all {_counted(total, 'check')} passed"
+    )
     text = f"{_counted(results, 'result')}: {head}."
     if improved:
-        text += f" {_counted(len(improved), 'run')} improved; consider updating the baseline {baseline}."
+        text += (
+            f" {_counted(len(improved), 'run')} improved; consider updating the baseline "
+            f"{baseline}."
+        )
     return text
 
 
@@ -102,7 +129,10 @@ def _counted(number: int, noun: str) -> str:
 
 
 def _remarks(checked: RegressionCheck, failed: bool) -> Iterator[str]:
-    """Lines for the entries without numbers: failures are shown above the table, all others below it."""
+    """Lines for the entries without numbers.
+
+    Failures are shown above the table, all others below it.
+    """
     from rich.markup import escape
 
     from dynaviz.scores.regression import CheckOutcome
@@ -110,7 +140,9 @@ def _remarks(checked: RegressionCheck, failed: bool) -> Iterator[str]:
     for value in checked.values:
         if value.is_text and value.remark and (value.outcome is CheckOutcome.FAILED) == failed:
             name = "" if value.name == "run" else f" {value.name}"
-            yield ("[bold red]FAIL[/]  " if failed else "") + escape(f"{value.run}:{name} {value.remark}")
+            yield ("[bold red]FAIL[/]  " if failed else "") + escape(
+                f"{value.run}:{name} {value.remark}"
+            )
 
 
 def table(checked: RegressionCheck) -> Table:
@@ -127,7 +159,8 @@ def table(checked: RegressionCheck) -> Table:
         CheckOutcome.PASSED: "ok",
     }
     rows = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, width=80)
-    rows.caption, rows.caption_justify = "In %. FP: static points removed, FN: dynamic points kept.", "left"
+    rows.caption = "In %. FP: static points removed, FN: dynamic points kept."
+    rows.caption_justify = "left"
     rows.add_column("")
     rows.add_column("run", overflow="fold", ratio=1)
     rows.add_column("metric", no_wrap=True)
@@ -140,7 +173,9 @@ def table(checked: RegressionCheck) -> Table:
     for value in numbers:
         if not any(value is other for other in hidden):
             style = styles.get(value.outcome, "")
-            rows.add_row(style, escape(value.run), value.name, *_numbers(value), "\n".join(_points(value)))
+            rows.add_row(
+                style, escape(value.run), value.name, *_numbers(value), "\n".join(_points(value))
+            )
     if hidden:
         rows.caption = f"{len(hidden)} more passed. {rows.caption}"
     return rows
@@ -149,7 +184,9 @@ def table(checked: RegressionCheck) -> Table:
 def _numbers(checked: CheckedValue) -> tuple[str, str, str]:
     """Value, limit and their difference."""
     digits = 3 if checked.name == "s/frame" else 2
-    value, limit = ("n/a" if x is None else f"{x:.{digits}f}" for x in (checked.value, checked.limit))
+    value, limit = (
+        "n/a" if x is None else f"{x:.{digits}f}" for x in (checked.value, checked.limit)
+    )
     if checked.value is None or checked.limit is None:
         return value, limit, ""
     return value, limit, f"{checked.value - checked.limit:+.{digits}f}"
@@ -160,7 +197,9 @@ ERRORS = {"SA": ("static_removed",), "DA": ("dynamic_kept",)}  # the counts that
 
 
 def _points(checked: CheckedValue) -> Iterator[str]:
-    """The remark, and for a change the number of wrong points with its difference from the baseline."""
+    """The remark, and for a change the number of wrong points with its difference from the
+    baseline.
+    """
     from dynaviz.scores.regression import CheckOutcome
 
     if checked.remark:

@@ -15,8 +15,10 @@ TILES = Annotated[
     str | None,
     typer.Option(
         metavar="METRES|autoware",
-        help="Run on squares of this size, for drives of any length, and write a file for each into a folder, or "
-        "Autoware's divided map if MAP has no suffix; 'autoware' writes one without dividing the run.",
+        help="Run on squares of this size, for drives of any length, and write a file for each "
+        "into a folder, or "
+        "Autoware's divided map if MAP has no suffix; 'autoware' writes one without dividing the "
+        "run.",
     ),
 ]
 
@@ -27,22 +29,32 @@ def clean(
         list[str],
         typer.Argument(
             metavar="SEQ",
-            help="Bag, folder of scans or sequence; several drives in one world frame make one map. FORMAT:PATH forces "
+            help="Bag, folder of scans or sequence; several drives in one world frame make one "
+            "map. FORMAT:PATH forces "
             "the format.",
         ),
     ],
     out: Annotated[
         Path,
-        typer.Option("-o", "--out", metavar="MAP", help="Clean map: pcd, ply, las, laz or npz; a folder for tiles."),
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="MAP",
+            help="Clean map: pcd, ply, las, laz or npz; a folder for tiles.",
+        ),
     ],
     method: Annotated[
-        str, typer.Option("-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names)
+        str,
+        typer.Option(
+            "-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names
+        ),
     ] = "seethrough",
     region: Annotated[
         str | None,
         typer.Option(
             metavar="BOX|FILE",
-            help="Write only points inside: X0,Y0,X1,Y1 or X0,Y0,Z0,X1,Y1,Z1, or a file with the corners of a polygon.",
+            help="Write only points inside: X0,Y0,X1,Y1 or X0,Y0,Z0,X1,Y1,Z1, or a file with the "
+            "corners of a polygon.",
         ),
     ] = None,
     voxel_size: Annotated[
@@ -52,14 +64,25 @@ def clean(
         Path | None, typer.Option(metavar="FILE", help="Write the removed points to this file.")
     ] = None,
     mark: Annotated[
-        bool, typer.Option("--mark", help="Write all points, with the attributes 'dynamic' and 'reason'.")
+        bool,
+        typer.Option(
+            "--mark", help="Write all points, with the attributes 'dynamic' and 'reason'."
+        ),
     ] = False,
     drop_unposed: Annotated[
-        bool, typer.Option("--drop-unposed", help="Discard points without a pose instead of keeping them.")
+        bool,
+        typer.Option(
+            "--drop-unposed", help="Discard points without a pose instead of keeping them."
+        ),
     ] = False,
-    changed: Annotated[bool, typer.Option("--changed", help="Also find what changed between two drives.")] = False,
+    changed: Annotated[
+        bool, typer.Option("--changed", help="Also find what changed between two drives.")
+    ] = False,
     accept: Annotated[
-        bool, typer.Option("--accept", help="Exit with 0 even if much was removed or the poses are likely wrong.")
+        bool,
+        typer.Option(
+            "--accept", help="Exit with 0 even if much was removed or the poses are likely wrong."
+        ),
     ] = False,
     json: Json = None,
     quiet: Quiet = False,
@@ -68,9 +91,10 @@ def clean(
 ) -> None:
     """Remove moving objects: from raw data to a clean map.
 
-    Poses are estimated with small-gicp if there are none. Intensity, ring, time and all other attributes are kept.
-    Writes the map, and next to it a folder with a summary, the labels and a recording. Exit code 3: the map is written,
-    but more than 30 % of its points were removed, or the poses are likely wrong; --accept gives 0 instead.
+    Poses are estimated with small-gicp if there are none. Intensity, ring, time and all other
+    attributes are kept. Writes the map, and next to it a folder with a summary, the labels and a
+    recording. Exit code 3: the map is written, but more than 30 % of its points were removed, or
+    the poses are likely wrong; --accept gives 0 instead.
 
     \b
     dynaviz clean drive.bag -o clean.laz
@@ -78,7 +102,8 @@ def clean(
     dynaviz clean drive.mcap -o map --tiles autoware --keep-dynamic removed.pcd
     dynaviz clean city/ -o city.laz --tiles 200 --workers 4
     dynaviz clean monday/ tuesday/ -o both.laz --changed
-    dynaviz clean survey.laz --poses trajectory.csv -o clean.laz --region 500100,5400200,500300,5400400
+    dynaviz clean survey.laz --poses trajectory.csv -o clean.laz --region
+    500100,5400200,500300,5400400
     """
     from dynaviz import cleaning
     from dynaviz.precompile import compiling_the_rest
@@ -102,9 +127,15 @@ def clean(
         show(cleaned, f"Written to {cleaned.maps[0].path} and {cleaned.folder}.")
         if options["record"] != "none":
             recording = shlex.quote(str(cleaned.folder / "run.rrd"))
-            show(f"Check what was removed with: {program()} view {recording}", f"or: {program()} explore {recording}")
+            show(
+                f"Check what was removed with: {program()} view {recording}",
+                f"or: {program()} explore {recording}",
+            )
             if cleaned.changes:
-                show(f"Check what changed with: {program()} explore {shlex.quote(str(cleaned.changes.folder))}")
+                show(
+                    f"Check what changed with: {program()} explore "
+                    f"{shlex.quote(str(cleaned.changes.folder))}"
+                )
         show(f"Points: {cleaned.account}")
     if cleaned.doubt and not accept:
         warn(cleaned.doubt)

@@ -21,23 +21,26 @@ def compare(
             help="Recordings or folders of runs on the same frames, compared with A.",
         ),
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Recording to write, with the runs side by side.")] = Path(
-        "compare.rrd"
-    ),
-    view: Annotated[bool, typer.Option("--view", help="Open the written recording in the viewer.")] = False,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Recording to write, with the runs side by side.")
+    ] = Path("compare.rrd"),
+    view: Annotated[
+        bool, typer.Option("--view", help="Open the written recording in the viewer.")
+    ] = False,
     json: Json = None,
     fail_below: Annotated[
         float | None,
         typer.Option(
-            metavar="DELTA", help="Exit with code 1 if the AA of any other run minus the AA of A is below DELTA."
+            metavar="DELTA",
+            help="Exit with code 1 if the AA of any other run minus the AA of A is below DELTA.",
         ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Compare runs on the same sequence.
 
-    Shows the difference in scores, which run is right where they disagree, and the places and frames of the
-    differences. Writes a recording with the runs side by side.
+    Shows the difference in scores, which run is right where they disagree, and the places and
+    frames of the differences. Writes a recording with the runs side by side.
 
     \b
     dynaviz compare recordings/street/octomap/run.rrd recordings/street/dufomap/run.rrd

@@ -1,4 +1,7 @@
-"""Output shared by the commands: a console, and progress as bars on a terminal or as lines in a log."""
+"""Output shared by the commands.
+
+A console, and progress as bars on a terminal or as lines in a log.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +96,8 @@ def warn(item: RenderableType) -> None:
 class PhaseTimer:
     """Formats the progress of one phase, with its speed and the time left.
 
-    The first step of a phase often includes compilation or opening files, so speed is measured from its end.
+    The first step of a phase often includes compilation or opening files, so speed is measured from
+    its end.
 
     Args:
         unit: what a step is, in the plural.
@@ -101,7 +105,9 @@ class PhaseTimer:
     """
 
     def __init__(self, unit: str, done: int):
-        self.unit, self._done, self._since = unit, done, time.monotonic()
+        self.unit = unit
+        self._done = done
+        self._since = time.monotonic()
 
     def speed(self, done: int) -> float | None:
         """Steps per second; None until a second step is done."""
@@ -154,7 +160,14 @@ def progress(title: str, unit: Unit = "frames", keep: bool = True) -> Iterator[P
 @contextlib.contextmanager
 def _bars(title: str, start: Callable[[str, int], PhaseTimer], keep: bool) -> Iterator[Progress]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TaskID,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -168,7 +181,10 @@ def _bars(title: str, start: Callable[[str, int], PhaseTimer], keep: bool) -> It
 
         def report(phase: str, done: int, total: int) -> None:
             if phase not in tasks:
-                tasks[phase] = bars.add_task(f"{title}: {phase}", total=total, speed=""), start(phase, done)
+                tasks[phase] = (
+                    bars.add_task(f"{title}: {phase}", total=total, speed=""),
+                    start(phase, done),
+                )
             task, timer = tasks[phase]
             speed = timer.speed(done)
             text = "" if speed is None else f"{speed:,.1f} {timer.unit}/s"

@@ -20,15 +20,22 @@ def convert(
         str,
         typer.Argument(
             metavar="SEQ|RUN",
-            help="Sequence folder or bag; FORMAT:PATH forces the format. A run with --labels. download:NAME for a "
-            "sequence of the public benchmark: 00, 05, av2, semindoor; without ground truth: twofloor, kthcampus.",
+            help="Sequence folder or bag; FORMAT:PATH forces the format. A run with --labels. "
+            "download:NAME for a "
+            "sequence of the public benchmark: 00, 05, av2, semindoor; without ground truth: "
+            "twofloor, kthcampus.",
         ),
     ],
     out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Output folder. Must not exist. download:NAME is written to OUT/NAME.")
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="Output folder. Must not exist. download:NAME is written to OUT/NAME.",
+        ),
     ],
     labels: Annotated[
-        bool, typer.Option("--labels", help="Write the labels of a run as SemanticKITTI .label files.")
+        bool,
+        typer.Option("--labels", help="Write the labels of a run as SemanticKITTI .label files."),
     ] = False,
     sequence: Moved = None,
     *,
@@ -45,15 +52,16 @@ def convert(
     dynaviz convert recordings/drive/octomap sequences/08/predictions --labels
     dynaviz convert download:00 data
 
-    Writes pcd/NNNNNN.pcd (points in the world frame, sensor pose in VIEWPOINT), sequence.toml (name, sensor and
-    classes) and, if there is ground truth, gt_cloud.pcd (intensity 0 static, 1 dynamic, 255 unlabelled). The original
-    licence still applies to the copy.
+    Writes pcd/NNNNNN.pcd (points in the world frame, sensor pose in VIEWPOINT), sequence.toml
+    (name, sensor and classes) and, if there is ground truth, gt_cloud.pcd (intensity 0 static, 1
+    dynamic, 255 unlabelled). The original licence still applies to the copy.
 
-    With --labels: one file per frame, NNNNNN.label with the frame number, and one uint32 per point in the order of the
-    sequence: 9 for static and 251 for moving, as in SemanticKITTI's moving object segmentation task.
+    With --labels: one file per frame, NNNNNN.label with the frame number, and one uint32 per point
+    in the order of the sequence: 9 for static and 251 for moving, as in SemanticKITTI's moving
+    object segmentation task.
 
-    An interrupted download resumes. The archive is verified, unpacked and deleted. DYNAVIZ_DOWNLOAD_URL sets the
-    address of a mirror that serves NAME.zip.
+    An interrupted download resumes. The archive is verified, unpacked and deleted.
+    DYNAVIZ_DOWNLOAD_URL sets the address of a mirror that serves NAME.zip.
     """
     if sequence is not None and not labels:
         raise UsageError("--sequence: only with --labels")
@@ -76,7 +84,9 @@ def _write_sequence(source: str, out: Path, options: dict[str, Any]) -> None:
         done = write(opened, out, lambda frame, total: report("write", frame, total))
     for remark in done.remarks():
         warnings.warn(remark, stacklevel=1)
-    accuracy = "poses bit for bit" if done.pose_error == 0 else f"largest pose error {done.pose_error:.0e}"
+    accuracy = (
+        "poses bit for bit" if done.pose_error == 0 else f"largest pose error {done.pose_error:.0e}"
+    )
     show(f"Written to {out}: {done.frames:,} frames, {done.points:,} points, {accuracy}.")
     show(f"Next: {program()} run METHOD {out}")
 
@@ -86,7 +96,10 @@ def _write_labels(run: str, out: Path, sequence: str | None) -> None:
 
     with progress("write labels") as report:
         frames, moving = export_labels(run, out, sequence, report)
-    show(f"Written to {out}: {frames:,} frames, {moving:,} points moving (251), all others static (9).")
+    show(
+        f"Written to {out}: {frames:,} frames, {moving:,} points moving (251), all others static "
+        "(9)."
+    )
 
 
 def _download(name: str, out: Path) -> None:
@@ -94,5 +107,10 @@ def _download(name: str, out: Path) -> None:
 
     with progress(name, unit={"fetch": "MB", "unpack": "files"}) as report:
         folder = download(name, out, os.environ.get("DYNAVIZ_DOWNLOAD_URL") or BASE, report)
-    remark = "" if SEQUENCES[name].labelled else " It has no ground truth, so runs on it have no scores."
-    show(f"Written to {folder}: {SEQUENCES[name].title}.{remark}", f"Next: {program()} run METHOD {folder}")
+    remark = (
+        "" if SEQUENCES[name].labelled else " It has no ground truth, so runs on it have no scores."
+    )
+    show(
+        f"Written to {folder}: {SEQUENCES[name].title}.{remark}",
+        f"Next: {program()} run METHOD {folder}",
+    )

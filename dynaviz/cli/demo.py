@@ -14,12 +14,15 @@ from dynaviz.cli.console import program, progress, show
 
 
 def demo(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Output folder for the sequence and the runs.")] = Path(
-        "recordings/demo"
-    ),
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Output folder for the sequence and the runs.")
+    ] = Path("recordings/demo"),
     view: Annotated[
         bool | None,
-        typer.Option("--view/--no-view", help="Open the best run in the viewer. [default: if there is a display]"),
+        typer.Option(
+            "--view/--no-view",
+            help="Open the best run in the viewer. [default: if there is a display]",
+        ),
     ] = None,
 ) -> None:
     """Simulate a street and run methods on it.
@@ -39,7 +42,9 @@ def demo(
 
     folder = out / "street"
     facts = folder / "sequence.toml"
-    if facts.is_file() and "generator" in read_toml(facts):  # from an earlier demo; never delete a user's data
+    if facts.is_file() and "generator" in read_toml(
+        facts
+    ):  # from an earlier demo; never delete a user's data
         shutil.rmtree(folder)
     names = [name for name in registry.loadable("methods") if name not in LATE]
     with compiling(), progress("street") as report:
@@ -47,9 +52,14 @@ def demo(
     results = []
     for name in names:
         with progress(f"{name} on street") as report:
-            results.append(api.run(name, api.open(folder), out=out / name, command="dynaviz demo", progress=report))
+            results.append(
+                api.run(
+                    name, api.open(folder), out=out / name, command="dynaviz demo", progress=report
+                )
+            )
     best, second = sorted(results, key=lambda result: -(result.metrics.get("AA") or 0.0))[:2]
-    recording, comparison = out / best.method / "run.rrd", out / "compare.rrd"
+    recording = out / best.method / "run.rrd"
+    comparison = out / "compare.rrd"
     with progress("compare the best two", unit="recordings") as report:
         api.compare(out / second.method / "run.rrd", recording, out=comparison, progress=report)
     command = program()
@@ -61,7 +71,8 @@ def demo(
         f"  {command} view {recording} -o {best.method}.png    (without a display)",
         f"  {command} view {comparison}    (how {best.method} differs from {second.method})",
         f"  {command} run {best.method} PATH/TO/YOUR/SEQUENCE",
-        f"Click the failures, and see which scans decided a point: {command} explore {recording.parent}",
+        f"Click the failures, and see which scans decided a point: {command} explore "
+        f"{recording.parent}",
     )
     if view or (view is None and should_open_viewer()):
         from dynaviz.views.read.view import view as open_viewer

@@ -13,7 +13,10 @@ from dynaviz.cli.options import SEQUENCE, Json, Quiet, open_posed_or_not, propos
 @takes(SEQUENCE)
 def doctor(
     sequence: Annotated[
-        str, typer.Argument(metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format.")
+        str,
+        typer.Argument(
+            metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format."
+        ),
     ],
     json: Json = None,
     quiet: Quiet = False,

@@ -13,15 +13,27 @@ from dynaviz.cli.options import run_in
 def explore(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or its run.rrd.")],
     others: Annotated[
-        list[Path] | None, typer.Argument(metavar="OTHER", help="Up to eight runs on the same frames, to compare.")
+        list[Path] | None,
+        typer.Argument(metavar="OTHER", help="Up to eight runs on the same frames, to compare."),
     ] = None,
     case: Annotated[
-        int | None, typer.Option(min=1, show_default=False, help="Open at this case. [default: the costliest one]")
+        int | None,
+        typer.Option(
+            min=1, show_default=False, help="Open at this case. [default: the costliest one]"
+        ),
     ] = None,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, show_default=False, help="Port on this machine. [default: any free one]")
+        int,
+        typer.Option(
+            min=0,
+            max=65535,
+            show_default=False,
+            help="Port on this machine. [default: any free one]",
+        ),
     ] = 0,
-    browser: Annotated[bool, typer.Option(help="Open the page in a browser if there is a screen.")] = True,
+    browser: Annotated[
+        bool, typer.Option(help="Open the page in a browser if there is a screen.")
+    ] = True,
 ) -> None:
     """Explore a run in a browser: its failures and their reasons.
 

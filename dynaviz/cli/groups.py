@@ -49,7 +49,11 @@ class Command(TyperCommand):
                 listed[each.param_type_name].append(row)
         options = listed["option"]
         first = len(options) if len(options) <= FIRST + 2 else FIRST
-        parts = {"Arguments": listed["argument"], "Options": options[:first], "More options": options[first:]}
+        parts = {
+            "Arguments": listed["argument"],
+            "Options": options[:first],
+            "More options": options[first:],
+        }
         for heading, rows in parts.items():
             if rows:
                 with formatter.section(heading):
@@ -67,7 +71,10 @@ class Commands(TyperGroup):
             problem = error.format_message().replace("Value error, ", "")
             context = getattr(error, "ctx", None) or ctx  # only errors of usage have a context
             end = "" if problem.endswith((".", "?")) else "."
-            text = f"{problem[0].lower()}{problem[1:]}{end} For examples run: {context.command_path} --help"
+            text = (
+                f"{problem[0].lower()}{problem[1:]}{end} For examples run: {context.command_path} "
+                "--help"
+            )
             raise UsageError(text) from error
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -83,7 +90,10 @@ class Commands(TyperGroup):
             with formatter.section(heading):
                 formatter.write_dl(
                     [
-                        (name.ljust(widest), self.commands[name].get_short_help_str(formatter.width - 6 - widest))
+                        (
+                            name.ljust(widest),
+                            self.commands[name].get_short_help_str(formatter.width - 6 - widest),
+                        )
                         for name in names
                     ]
                 )

@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.options import SEQUENCE, Json, Quiet, open_posed_or_not, proposal, recording_in, refuse, takes
+from dynaviz.cli.options import (
+    SEQUENCE,
+    Json,
+    Quiet,
+    open_posed_or_not,
+    proposal,
+    recording_in,
+    refuse,
+    takes,
+)
 from dynaviz.errors import UsageError
 
 if TYPE_CHECKING:
@@ -35,13 +44,19 @@ class HasFacts(Protocol):
 def info(
     path: Annotated[
         str,
-        typer.Argument(metavar="SEQ|RUN", help="Sequence (FORMAT:PATH forces the format), or a run: folder or file."),
+        typer.Argument(
+            metavar="SEQ|RUN",
+            help="Sequence (FORMAT:PATH forces the format), or a run: folder or file.",
+        ),
     ],
     failures: Annotated[
         bool, typer.Option("--failures", help="List the failure cases of a run, costliest first.")
     ] = False,
     top: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="With --failures: number of cases to list. [default: 20]")
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="With --failures: number of cases to list. [default: 20]"
+        ),
     ] = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -50,8 +65,8 @@ def info(
 ) -> None:
     """Describe a sequence or a run, or list the failures of a run.
 
-    For a sequence this shows the detected format, the sensor, the numbers of frames and points, the distance travelled,
-    the rate, the share of dynamic points, and the extent.
+    For a sequence this shows the detected format, the sensor, the numbers of frames and points, the
+    distance travelled, the rate, the share of dynamic points, and the extent.
 
     \b
     dynaviz info path/to/sequence
@@ -60,8 +75,9 @@ def info(
     dynaviz info recordings/demo/octomap/result.json
     dynaviz info recordings/demo/octomap --failures
 
-    Each failure case has its position, its frames, its number of points, and the reasons for the errors. For a run
-    without ground truth, --failures lists clusters of removed points that look suspicious.
+    Each failure case has its position, its frames, its number of points, and the reasons for the
+    errors. For a run without ground truth, --failures lists clusters of removed points that look
+    suspicious.
     """
     if failures:
         refuse(options, "--failures")
@@ -98,7 +114,12 @@ def info(
         opened, unposed = open_posed_or_not(path, options)
         facts = _sequence_facts(opened)
         if unposed:
-            facts |= {"poses": f"none: {unposed}", "distance": "unknown", "extent": "unknown", "low corner": "unknown"}
+            facts |= {
+                "poses": f"none: {unposed}",
+                "distance": "unknown",
+                "extent": "unknown",
+                "low corner": "unknown",
+            }
         if not print_json(facts, json):
             _show_pairs(path, facts)
             if unposed:
@@ -111,7 +132,8 @@ def _show_result(result: Result) -> None:
     from dynaviz.scores.sections import Reasons, Removals
 
     show(result)
-    reasons, removals = result.sections.reasons or Reasons(), result.sections.removals or Removals()
+    reasons = result.sections.reasons or Reasons()
+    removals = result.sections.removals or Removals()
     found = [
         ("Static points removed, by reason", reasons.false_positive),
         ("Dynamic points kept, by reason", reasons.false_negative),
@@ -133,7 +155,8 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
         counted = _Counted(sequence)
         summary = summarize(counted, lambda done: report("read", done, len(sequence)))
     source = base_of(sequence)
-    low, high = summary.extent.low, summary.extent.high
+    low = summary.extent.low
+    high = summary.extent.high
     return {
         "name": sequence.name,
         "format": type(source).__name__,
@@ -164,10 +187,15 @@ class _Counted:
     """A sequence that counts labels and keeps poses and stamps while it is read in order."""
 
     def __init__(self, sequence: Sequence) -> None:
-        self._sequence, self._labelled, self._points, self._dynamic = sequence, 0, 0, 0
+        self._sequence = sequence
+        self._labelled = 0
+        self._points = 0
+        self._dynamic = 0
         self._positions: list[F64] = []
         self._stamps: list[int | None] = []
-        self.name, self.sensor, self.has_labels = sequence.name, sequence.sensor, sequence.has_labels
+        self.name = sequence.name
+        self.sensor = sequence.sensor
+        self.has_labels = sequence.has_labels
 
     def __len__(self) -> int:
         return len(self._sequence)
@@ -185,7 +213,11 @@ class _Counted:
 
     def truth(self) -> str:
         """How many frames have labels, and the share of dynamic points."""
-        share = f", {100 * self._dynamic / self._points:.2f} % of their points dynamic" if self._points else ""
+        share = (
+            f", {100 * self._dynamic / self._points:.2f} % of their points dynamic"
+            if self._points
+            else ""
+        )
         return f"{self._labelled:,} of {len(self):,} frames{share}"
 
     def distance(self) -> float:
@@ -194,7 +226,9 @@ class _Counted:
 
     def rate(self) -> str:
         """Scans per second, from the median step of the stamps."""
-        steps = [b - a for a, b in pairwise(self._stamps) if a is not None and b is not None and b > a]
+        steps = [
+            b - a for a, b in pairwise(self._stamps) if a is not None and b is not None and b > a
+        ]
         return f"{1e9 / median(steps):.1f} Hz" if steps else "unknown"
 
 

@@ -57,7 +57,8 @@ def list_(
 ) -> None:
     """List methods, data sets and sensors, or parameters of a method.
 
-    Parameters have a meaning, a unit, a range and a value, which is a default or set by a preset, a file or --set.
+    Parameters have a meaning, a unit, a range and a value, which is a default or set by a preset, a
+    file or --set.
 
     \b
     dynaviz list
@@ -73,7 +74,9 @@ def list_(
         show_parameters(name, options, json)
         return
     if any(options.values()):
-        raise UsageError("--preset, --config and --set: only with a method. Give the name of a method")
+        raise UsageError(
+            "--preset, --config and --set: only with a method. Give the name of a method"
+        )
     if name is None or name in list(Listing):
         _show_lists([Listing(name)] if name else list(Listing), json)
     elif name in sensor_names() or name.endswith(".toml"):
@@ -89,11 +92,21 @@ def _show_lists(chosen: list[Listing], json: Path | None) -> None:
 
     names = ("name", "description", "package")
     if json is not None:
-        plain = {each.value: [dict(zip(names, row, strict=True)) for row in _rows(each.value)] for each in chosen}
+        plain = {
+            each.value: [dict(zip(names, row, strict=True)) for row in _rows(each.value)]
+            for each in chosen
+        }
         if print_json(plain, json):
             return
     for listing in chosen:
-        table = Table(*names, title=listing.value, title_justify="left", box=None, pad_edge=False, min_width=60)
+        table = Table(
+            *names,
+            title=listing.value,
+            title_justify="left",
+            box=None,
+            pad_edge=False,
+            min_width=60,
+        )
         for row in _rows(listing.value):
             table.add_row(*row)
         show(table, "")
@@ -173,7 +186,9 @@ def show_parameters(method: str, options: dict[str, Any], json: Path | None) -> 
     table = Table(*columns, title=f"{kind.info.title}: parameters", title_justify="left")
     for row in rows:
         shown = dumps(row["value"])
-        table.add_row(row["name"], shown, row["set_by"], escape(row["meaning"]), escape(row["range"]))
+        table.add_row(
+            row["name"], shown, row["set_by"], escape(row["meaning"]), escape(row["range"])
+        )
     show(table)
 
 

@@ -22,10 +22,16 @@ if TYPE_CHECKING:
 @takes(SEQUENCE, METHOD)
 def live(
     source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="Bag, MCAP file, folder of scans or sequence to play.")
+        str,
+        typer.Argument(
+            metavar="SOURCE", help="Bag, MCAP file, folder of scans or sequence to play."
+        ),
     ],
     method: Annotated[
-        str, typer.Option("-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names)
+        str,
+        typer.Option(
+            "-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names
+        ),
     ] = "seethrough",
     rate: Annotated[
         float,
@@ -33,20 +39,33 @@ def live(
     ] = 1.0,
     reach: Annotated[
         float,
-        typer.Option(metavar="METRES", help="Label points, and keep the map, up to this distance from the sensor."),
+        typer.Option(
+            metavar="METRES",
+            help="Label points, and keep the map, up to this distance from the sensor.",
+        ),
     ] = 60.0,
     view: Annotated[bool, typer.Option("--view", help="Show the scans in the viewer.")] = False,
-    serve: Annotated[bool, typer.Option("--serve", help="Show the scans in a browser on this machine.")] = False,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Show the scans in a browser on this machine.")
+    ] = False,
     port: Annotated[
         int | None,
         typer.Option(
-            min=1, max=65534, metavar="PORT", help="Port of the page, with --serve. The next port is also used."
+            min=1,
+            max=65534,
+            metavar="PORT",
+            help="Port of the page, with --serve. The next port is also used.",
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Record the last minutes into this folder.")
+        Path | None,
+        typer.Option(
+            "-o", "--out", metavar="FOLDER", help="Record the last minutes into this folder."
+        ),
     ] = None,
-    minutes: Annotated[float, typer.Option(metavar="N", help="Length of that recording in minutes.")] = 5.0,
+    minutes: Annotated[
+        float, typer.Option(metavar="N", help="Length of that recording in minutes.")
+    ] = 5.0,
     json: Json = None,
     quiet: Quiet = False,
     *,
@@ -54,8 +73,8 @@ def live(
 ) -> None:
     """Feed a recording to a method scan by scan, as a sensor would.
 
-    Memory is bounded. A scan is dropped if the next one arrives before the method is ready. The report shows how many
-    scans were dropped, and the latency of the others.
+    Memory is bounded. A scan is dropped if the next one arrives before the method is ready. The
+    report shows how many scans were dropped, and the latency of the others.
 
     \b
     dynaviz live drive.mcap --view
@@ -89,7 +108,9 @@ def live(
             out=out,
             minutes=minutes,
             progress=bar.enter_context(progress(f"live {source}")),
-            announce=functools.partial(print, file=sys.stderr if str(json) == "-" else sys.stdout, flush=True),
+            announce=functools.partial(
+                print, file=sys.stderr if str(json) == "-" else sys.stdout, flush=True
+            ),
             finished=finished,
         )
 
@@ -99,7 +120,10 @@ def _report(played: PlayReport, json: Path | None, out: Path | None) -> None:
         return
     show(str(played))
     if out is not None:
-        show(f"Open the last minutes with: rerun {shlex.quote(str(out))}/live-*.rrd, or {program()} view FILE")
+        show(
+            f"Open the last minutes with: rerun {shlex.quote(str(out))}/live-*.rrd, or {program()} "
+            "view FILE"
+        )
 
 
 def _wait() -> None:

@@ -42,7 +42,9 @@ def plugin_names(kind: str) -> Callable[[str], list[str]]:
     def complete(incomplete: str) -> list[str]:
         from dynaviz.contracts import registry
 
-        return [handle.name for handle in registry.handles(kind) if handle.name.startswith(incomplete)]
+        return [
+            handle.name for handle in registry.handles(kind) if handle.name.startswith(incomplete)
+        ]
 
     return complete
 
@@ -64,17 +66,25 @@ def preset_completions(incomplete: str) -> list[str]:
 method_names = plugin_names("methods")
 Method = Annotated[
     str,
-    typer.Argument(metavar="METHOD", help="Method name; see 'dynaviz list methods'.", autocompletion=method_names),
+    typer.Argument(
+        metavar="METHOD",
+        help="Method name; see 'dynaviz list methods'.",
+        autocompletion=method_names,
+    ),
 ]
 Record = Annotated[RecordModeOption, typer.Option(help="How much to record in run.rrd.")]
-Threads = Annotated[int | None, typer.Option(min=1, metavar="N", help="Threads for kernels. [default: all cores]")]
+Threads = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Threads for kernels. [default: all cores]")
+]
 Moved = Annotated[
     str | None,
     typer.Option("--sequence", metavar="SEQ", help="Sequence of the run, if it has moved."),
 ]
 
 SEQUENCE: dict[str, Any] = {
-    "frames": Annotated[str | None, typer.Option(metavar="A:B", help="Use only these frames, as in a Python slice.")],
+    "frames": Annotated[
+        str | None, typer.Option(metavar="A:B", help="Use only these frames, as in a Python slice.")
+    ],
     "stride": Annotated[int, typer.Option(metavar="N", help="Use every N-th frame.")],
     "sensor": Annotated[
         str | None,
@@ -88,25 +98,34 @@ SEQUENCE: dict[str, Any] = {
         str | None,
         typer.Option(
             metavar="FILE|small-gicp",
-            help="Sensor poses: a KITTI, TUM or CSV file, or an odometry that estimates them. For a bag also a topic "
+            help="Sensor poses: a KITTI, TUM or CSV file, or an odometry that estimates them. For "
+            "a bag also a topic "
             "or TF frame.",
         ),
     ],
     "refine_poses": Annotated[
-        bool, typer.Option("--refine-poses", help="Register each scan to the scans around it to refine its pose.")
+        bool,
+        typer.Option(
+            "--refine-poses", help="Register each scan to the scans around it to refine its pose."
+        ),
     ],
     "points_in": Annotated[
-        PointFrame | None, typer.Option(help="Coordinate frame of the stored points. [default: sensor]")
+        PointFrame | None,
+        typer.Option(help="Coordinate frame of the stored points. [default: sensor]"),
     ],
     "deskew": Annotated[
         bool | None,
-        typer.Option("--deskew/--no-deskew", help="Compensate the motion during each sweep. [default: deskew]"),
+        typer.Option(
+            "--deskew/--no-deskew",
+            help="Compensate the motion during each sweep. [default: deskew]",
+        ),
     ],
     "extrinsic": Annotated[
         str | None,
         typer.Option(
             metavar="X,Y,Z,ROLL,PITCH,YAW",
-            help="Pose of the lidar on the vehicle, or a file with it, if the poses are those of the vehicle.",
+            help="Pose of the lidar on the vehicle, or a file with it, if the poses are those of "
+            "the vehicle.",
         ),
     ],
 }
@@ -122,12 +141,18 @@ METHOD: dict[str, Any] = {
         ),
     ],
     "config": Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML file with parameters, such as config.toml of a run.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="TOML file with parameters, such as config.toml of a run."
+        ),
     ],
     "settings": Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable."),
     ],
-    "seed": Annotated[int | None, typer.Option(min=0, metavar="N", help="Random seed of the method. [default: 0]")],
+    "seed": Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Random seed of the method. [default: 0]")
+    ],
     "threads": Threads,
 }
 """Options of commands that start a method, by field of ``MethodOptions``."""
@@ -138,28 +163,42 @@ RUN: dict[str, Any] = {
         bool | None,
         typer.Option(
             "--online/--offline",
-            help="Label each scan as soon as it is observed, or all scans at the end. [default: offline]",
+            help="Label each scan as soon as it is observed, or all scans at the end. [default: "
+            "offline]",
         ),
     ],
-    "variant": Annotated[str, typer.Option(metavar="NAME", help="Name of the parameter set, for tables.")],
+    "variant": Annotated[
+        str, typer.Option(metavar="NAME", help="Name of the parameter set, for tables.")
+    ],
     "record": Record,
     "record_budget": Annotated[
         str | None,
         typer.Option(
             metavar="SIZE",
-            help="Maximum size of the recordings, such as 2GB; the states of the method are left out first.",
+            help="Maximum size of the recordings, such as 2GB; the states of the method are left "
+            "out first.",
         ),
     ],
     "view": Annotated[bool, typer.Option("--view", help="Show the run live in the viewer.")],
     "tiles": Annotated[
         str | None,
-        typer.Option(metavar="METRES", help="Divide the map into squares of this size, for drives of any length."),
+        typer.Option(
+            metavar="METRES",
+            help="Divide the map into squares of this size, for drives of any length.",
+        ),
     ],
-    "workers": Annotated[int, typer.Option(min=1, metavar="N", help="Number of tiles that run at a time.")],
+    "workers": Annotated[
+        int, typer.Option(min=1, metavar="N", help="Number of tiles that run at a time.")
+    ],
     "scheduler": Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run the tiles on the workers of this Dask scheduler.")
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Run the tiles on the workers of this Dask scheduler."
+        ),
     ],
-    "maps": Annotated[bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")],
+    "maps": Annotated[
+        bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")
+    ],
 }
 """Options of commands that run a method on a sequence, by field of ``RunOptions``."""
 
@@ -167,13 +206,16 @@ COMMON = ("frames", "poses", "settings", "record", "sensor", "preset")
 """Listed before the others in the help of a command."""
 
 DEFAULTS: dict[str, Any] = {
-    "stride": 1, "refine_poses": False, "variant": "", "record": RecordModeOption.errors, "view": False, "workers": 1,
+    "stride": 1, "refine_poses": False, "variant": "", "record": RecordModeOption.errors,
+    "view": False, "workers": 1,
     "maps": True,
 }  # fmt: skip
 """Defaults other than None."""
 
 
-def takes(*tables: Mapping[str, Any], without: Collection[str] = ()) -> Callable[[Callable[..., None]], Any]:
+def takes(
+    *tables: Mapping[str, Any], without: Collection[str] = ()
+) -> Callable[[Callable[..., None]], Any]:
     """Give a command all options of some tables, which it receives as ``options``, a dictionary.
 
     The names and values are those of the keyword arguments of ``dynaviz.open`` and ``dynaviz.run``.
@@ -193,9 +235,16 @@ def takes(*tables: Mapping[str, Any], without: Collection[str] = ()) -> Callable
 
         own = inspect.signature(command, eval_str=True)
         listed = [each for name, each in own.parameters.items() if name != "options"]
-        last = next((k for k, each in enumerate(listed) if each.name in ("json", "quiet")), len(listed))
+        last = next(
+            (k for k, each in enumerate(listed) if each.name in ("json", "quiet")), len(listed)
+        )
         listed[last:last] = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=DEFAULTS.get(name), annotation=annotation)
+            inspect.Parameter(
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=DEFAULTS.get(name),
+                annotation=annotation,
+            )
             for name, annotation in wanted.items()
         ]
         listed = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in listed]
@@ -207,7 +256,9 @@ def takes(*tables: Mapping[str, Any], without: Collection[str] = ()) -> Callable
 
 
 def refuse(options: Mapping[str, Any], what: str) -> None:
-    """Raise UsageError if options of ``takes`` are given beside something that does not use them."""
+    """Raise UsageError if options of ``takes`` are given beside something that does
+    not use them.
+    """
     for name, value in options.items():
         if value and value != DEFAULTS.get(name):
             raise UsageError(f"--{name.replace('_', '-')}: not with {what}")
@@ -222,19 +273,32 @@ def _plain(name: str, value: Any) -> Any:
 
 Json = Annotated[
     Path | None,
-    typer.Option("--json", metavar="FILE", help="Also write the result as JSON to a file; - for standard output."),
+    typer.Option(
+        "--json",
+        metavar="FILE",
+        help="Also write the result as JSON to a file; - for standard output.",
+    ),
 ]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.", callback=set_quiet, expose_value=False)]
+Quiet = Annotated[
+    bool,
+    typer.Option("-q", "--quiet", help="Show no progress.", callback=set_quiet, expose_value=False),
+]
 
 
 def recording_in(path: Path) -> Path:
-    """The recording of a run, given the recording or the folder of the run; repaired if it is damaged.
+    """The recording of a run, given the recording or the folder of the run.
+
+    Repaired if it is damaged.
 
     Raises:
         DataError: for a recording of which nothing can be read.
     """
     file = path / "run.rrd" if path.is_dir() else path
-    if file.suffix == ".rrd" and not file.exists() and (part := file.with_name(f".{file.name}.part")).is_file():
+    if (
+        file.suffix == ".rrd"
+        and not file.exists()
+        and (part := file.with_name(f".{file.name}.part")).is_file()
+    ):
         file = part
     if not file.name.endswith((".rrd", ".rrd.part")) or not file.is_file():
         return file

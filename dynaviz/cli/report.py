@@ -19,12 +19,17 @@ def report(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="Output file, or folder of a board. [default: standard output; DIR/board]"),
+        typer.Option(
+            "-o",
+            "--out",
+            help="Output file, or folder of a board. [default: standard output; DIR/board]",
+        ),
     ] = None,
     format: Annotated[
         str | None,
         typer.Option(
-            help="html, md, csv, an installed plug-in, or board for a leaderboard as a static site. "
+            help="html, md, csv, an installed plug-in, or board for a leaderboard as a static "
+            "site. "
             "[default: by the suffix of -o, otherwise md]"
         ),
     ] = None,
@@ -44,13 +49,16 @@ def report(
     dynaviz report bench/ elsewhere/result.json --format csv > runs.csv
     dynaviz report recordings/demo --format board
 
-    A board compares methods by sequence and protocol, shows failure cases, and lists the digest of every entry. It
-    works offline. Scores are computed from the stored labels, so the sequences are needed.
+    A board compares methods by sequence and protocol, shows failure cases, and lists the digest of
+    every entry. It works offline. Scores are computed from the stored labels, so the sequences are
+    needed.
     """
     if format == "board":
         _board(results, out, sequences or [])
         return
-    refuse({"sequence": sequences}, f"--format {format}" if format else "a report. Add --format board")
+    refuse(
+        {"sequence": sequences}, f"--format {format}" if format else "a report. Add --format board"
+    )
     from dynaviz.reports.reporting import report as write_report
 
     with progress("report", unit="steps") as show_progress:

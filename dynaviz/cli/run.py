@@ -19,7 +19,8 @@ def run(
         list[str],
         typer.Argument(
             metavar="SEQ",
-            help="Sequence folder or bag; several drives in one world frame are one sequence. FORMAT:PATH forces the "
+            help="Sequence folder or bag; several drives in one world frame are one sequence. "
+            "FORMAT:PATH forces the "
             "format.",
         ),
     ],

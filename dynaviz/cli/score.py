@@ -30,7 +30,8 @@ def score(
         Path,
         typer.Argument(
             metavar="MAP",
-            help="Cleaned map in the sequence's world frame (pcd, ply, las, laz, npy), folder with a .label, .npy or "
+            help="Cleaned map in the sequence's world frame (pcd, ply, las, laz, npy), folder with "
+            "a .label, .npy or "
             ".npz file per scan, or labels.npz.",
         ),
     ],
@@ -38,7 +39,8 @@ def score(
         str | None,
         typer.Argument(
             metavar="[SEQ]",
-            help="Sequence with ground truth. FORMAT:PATH forces the format. Without it, MAP is a run to rescore.",
+            help="Sequence with ground truth. FORMAT:PATH forces the format. Without it, MAP is a "
+            "run to rescore.",
         ),
     ] = None,
     out: Annotated[
@@ -46,12 +48,20 @@ def score(
         typer.Option("-o", "--out", help="Output folder. [default: recordings/SEQUENCE/NAME]"),
     ] = None,
     radius: Annotated[
-        float, typer.Option(help="A point counts as kept if the map has a point within this radius, in metres.")
+        float,
+        typer.Option(
+            help="A point counts as kept if the map has a point within this radius, in metres."
+        ),
     ] = RADIUS,
-    name: Annotated[str | None, typer.Option(help="Name in tables. [default: the name of the file or folder]")] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name in tables. [default: the name of the file or folder]")
+    ] = None,
     key: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Name of the array with the labels, for .npz files with several arrays."),
+        typer.Option(
+            metavar="NAME",
+            help="Name of the array with the labels, for .npz files with several arrays.",
+        ),
     ] = None,
     record: Record = RecordModeOption.errors,
     threads: Threads = None,
@@ -72,15 +82,19 @@ def score(
     dynaviz score recordings/demo/octomap/labels.npz path/to/demo --name again
     dynaviz score recordings/demo/octomap
 
-    Label files are named by frame number (000000.label). They contain 0 and 1, or classes of SemanticKITTI, of which
-    251 and above are moving. Scans without a file are not scored.
+    Label files are named by frame number (000000.label). They contain 0 and 1, or classes of
+    SemanticKITTI, of which 251 and above are moving. Scans without a file are not scored.
 
-    With a run alone, this shows its scores against the corrected ground truth in its corrections.json, which the
-    explorer writes. The files of the run and its sequence do not change.
+    With a run alone, this shows its scores against the corrected ground truth in its
+    corrections.json, which the explorer writes. The files of the run and its sequence do not
+    change.
     """
     if sequence is None:
         own = {"out": out, "name": name, "key": key, "json": json, "threads": threads}
-        refuse({**options, **own, "radius": radius != RADIUS, "record": record}, "a run alone. Give SEQ, too")
+        refuse(
+            {**options, **own, "radius": radius != RADIUS, "record": record},
+            "a run alone. Give SEQ, too",
+        )
         from dynaviz.runs.relabelling import rescore
 
         show(str(rescore(map, moved)))

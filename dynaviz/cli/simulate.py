@@ -20,7 +20,8 @@ def simulate(
         str,
         typer.Argument(
             metavar="SCENE|implant:SEQ",
-            help="Scene with its sensor, see 'dynaviz list scenes'; or a sequence to put movers into. Options of both "
+            help="Scene with its sensor, see 'dynaviz list scenes'; or a sequence to put movers "
+            "into. Options of both "
             "follow ?.",
         ),
     ],
@@ -28,18 +29,21 @@ def simulate(
     frames: Annotated[
         str | None,
         typer.Option(
-            metavar="N|A:B", help="Number of sweeps of a scene, or frames of SEQ. [default: set by the scene; all]"
+            metavar="N|A:B",
+            help="Number of sweeps of a scene, or frames of SEQ. [default: set by the scene; all]",
         ),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Random seed. The same seed gives identical files.", show_default="0"),
+        typer.Option(
+            metavar="N", help="Random seed. The same seed gives identical files.", show_default="0"
+        ),
     ] = None,
 ) -> None:
     """Simulate a labelled sequence, or add movers to a recorded one.
 
-    Writes it in the public benchmark's layout. Scenes that end in _real have the effects of real scans; single effects
-    are options of the scene, separated by &.
+    Writes it in the public benchmark's layout. Scenes that end in _real have the effects of real
+    scans; single effects are options of the scene, separated by &.
 
     \b
     dynaviz simulate street_hdl64 out/street
@@ -50,10 +54,11 @@ def simulate(
     dynaviz simulate "implant:path/to/sequence?scene=out/implants/implants.toml" out/again
     dynaviz run dufomap "simulate:street_hdl64?frames=20&jitter_m=0.03"
 
-    Options for a recorded sequence: numbers of cars, trucks, cyclists, persons, and parks (cars that arrive and park).
-    The scene file implants.toml is written with the sequence; scene=FILE uses it again. The static world, the noise and
-    the poses of SEQ do not change. If SEQ has no labels, the methods of panel=A,B,C vote on which points are static
-    (default: three fast methods; panel=none: no vote). If SEQ needs options, such as poses, convert it first.
+    Options for a recorded sequence: numbers of cars, trucks, cyclists, persons, and parks (cars
+    that arrive and park). The scene file implants.toml is written with the sequence; scene=FILE
+    uses it again. The static world, the noise and the poses of SEQ do not change. If SEQ has no
+    labels, the methods of panel=A,B,C vote on which points are static (default: three fast methods;
+    panel=none: no vote). If SEQ needs options, such as poses, convert it first.
     """
     if scene.startswith(IMPLANT):
         _implant(scene.removeprefix(IMPLANT), out, seed, frames)
@@ -65,11 +70,17 @@ def _simulate(scene: str, out: Path, frames: str | None, seed: int | None) -> No
     from dynaviz.synthetic.simulate import simulate as write
 
     if frames is not None and not frames.isdecimal():
-        raise UsageError(f"--frames {frames}: a scene takes a number of sweeps, such as --frames 200")
+        raise UsageError(
+            f"--frames {frames}: a scene takes a number of sweeps, such as --frames 200"
+        )
     number = None if frames is None else int(frames)
     with progress(scene.partition("?")[0]) as report:
         folder = write(
-            scene, out, frames=number, seed=seed, progress=lambda done, total: report("simulate", done, total)
+            scene,
+            out,
+            frames=number,
+            seed=seed,
+            progress=lambda done, total: report("simulate", done, total),
         )
     show(f"Written to {folder}. Next: {program()} run METHOD {folder}")
 
@@ -92,7 +103,10 @@ def _implant(text: str, out: Path, seed: int | None, frames: str | None) -> None
         done = write(implanted, out, lambda frame, total: report("write", frame, total))
     for remark in done.remarks():
         warnings.warn(remark, stacklevel=1)
-    show(f"Written to {out}: {done.frames:,} frames, {done.points:,} points; scene in {out / SCENE_FILE}.")
+    show(
+        f"Written to {out}: {done.frames:,} frames, {done.points:,} points; scene in "
+        f"{out / SCENE_FILE}."
+    )
     for name, fact in implanted.facts.items():
         show(f"{name.capitalize()}: {fact}.")
     show(f"Next: {program()} run METHOD {out}")

@@ -18,14 +18,26 @@ if TYPE_CHECKING:
 @takes(SEQUENCE)
 def tune(
     sequence: Annotated[
-        str, typer.Argument(metavar="SEQ", help="Sequence folder or bag, or implant:SEQ?cars=6&persons=10.")
+        str,
+        typer.Argument(
+            metavar="SEQ", help="Sequence folder or bag, or implant:SEQ?cars=6&persons=10."
+        ),
     ],
-    method: Annotated[str, typer.Option("-m", "--method", metavar="M", help="Method to tune.")] = ...,  # type: ignore[assignment]
-    out: Annotated[Path, typer.Option("-o", "--out", help="Output folder. An earlier search in it resumes.")] = ...,  # type: ignore[assignment]
+    method: Annotated[
+        str, typer.Option("-m", "--method", metavar="M", help="Method to tune.")
+    ] = ...,  # type: ignore[assignment]
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Output folder. An earlier search in it resumes.")
+    ] = ...,  # type: ignore[assignment]
     trials: Annotated[int, typer.Option(min=1, metavar="N", help="Parameter sets to try.")] = 30,
-    seeds: Annotated[int, typer.Option(min=1, metavar="N", help="Sequences with implants for the search.")] = 3,
+    seeds: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Sequences with implants for the search.")
+    ] = 3,
     holdout: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Sequences with other implants, for the final scores.")
+        int,
+        typer.Option(
+            min=1, metavar="N", help="Sequences with other implants, for the final scores."
+        ),
     ] = 2,
     ranges: Annotated[
         list[str] | None,
@@ -42,8 +54,9 @@ def tune(
 ) -> None:
     """Find parameters for your sensor and place, without labels.
 
-    Puts movers with exact ground truth into the sequence, searches for the parameters with the best AA on them, and
-    scores these on other movers. Labels of the sequence are used only to score the result.
+    Puts movers with exact ground truth into the sequence, searches for the parameters with the best
+    AA on them, and scores these on other movers. Labels of the sequence are used only to score the
+    result.
 
     \b
     dynaviz tune path/to/sequence --method dufomap -o tuned
@@ -72,17 +85,32 @@ def tune(
         )
     show(tuned)
     if not tuned.improved:
-        show(f"None of {trials} parameter sets is better than the default on the implants of the search.")
+        show(
+            f"None of {trials} parameter sets is better than the default on the implants of the "
+            "search."
+        )
     if tuned.gain:
         show(f"Gain of the parameters found: {tuned.gain}.")
     if tuned.improved and not tuned.proven:
         doubts = "; ".join(tuned.gain.doubts) if tuned.gain else "a run on other implants failed"
-        show(f"Not proven: {doubts}. Keep the default parameters, or search with more --seeds and --holdout.")
+        show(
+            f"Not proven: {doubts}. Keep the default parameters, or search with more --seeds and "
+            "--holdout."
+        )
         show(escape(f"The parameters found are in {tuned.preset}."))
     else:
-        show(escape(f"Use these parameters with: {program()} run {method} SEQ --config {tuned.preset}"))
+        show(
+            escape(
+                f"Use these parameters with: {program()} run {method} SEQ --config {tuned.preset}"
+            )
+        )
     if tuned.board.failed:
-        show(escape(f"{len(tuned.board.failed)} runs failed. For the first error see {tuned.board.failed[0].folder}."))
+        show(
+            escape(
+                f"{len(tuned.board.failed)} runs failed. For the first error see "
+                f"{tuned.board.failed[0].folder}."
+            )
+        )
         raise typer.Exit(1)
 
 
@@ -91,7 +119,9 @@ def _assignment(text: str) -> tuple[str, str]:
 
     name, equals, values = text.partition("=")
     if not equals:
-        raise UsageError(f"--range {text}: write PARAM=LOW:HIGH, such as --range resolution=0.1:0.4")
+        raise UsageError(
+            f"--range {text}: write PARAM=LOW:HIGH, such as --range resolution=0.1:0.4"
+        )
     return name.strip(), values.strip()
 
 

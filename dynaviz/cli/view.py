@@ -13,37 +13,55 @@ from dynaviz.errors import UsageError
 
 
 def view(
-    recordings: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Recordings, or folders of runs.")],
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Recordings, or folders of runs.")
+    ],
     out: Annotated[
         Path | None,
         typer.Option(
             "-o",
             "--out",
-            help="Render a picture to this file, without a display; with several frames, one file per frame.",
+            help="Render a picture to this file, without a display; with several frames, one file "
+            "per frame.",
         ),
     ] = None,
     frames: Annotated[
-        list[int] | None, typer.Option("--frame", metavar="N", help="Frame to render. Repeatable. [default: the last]")
+        list[int] | None,
+        typer.Option(
+            "--frame", metavar="N", help="Frame to render. Repeatable. [default: the last]"
+        ),
     ] = None,
     case: Annotated[
-        int | None, typer.Option(metavar="N", help="Failure case to render, by its number in the recording's list.")
+        int | None,
+        typer.Option(
+            metavar="N", help="Failure case to render, by its number in the recording's list."
+        ),
     ] = None,
     clip: Annotated[
-        Path | None, typer.Option(metavar="CLIP.mp4", help="Output video of the frames of a case; needs --case.")
+        Path | None,
+        typer.Option(
+            metavar="CLIP.mp4", help="Output video of the frames of a case; needs --case."
+        ),
     ] = None,
     view_name: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Render only this view. [default: the whole window]")
+        str | None,
+        typer.Option(metavar="NAME", help="Render only this view. [default: the whole window]"),
     ] = None,
     size: Annotated[
-        str | None, typer.Option(metavar="WxH", help="Size of the picture in pixels. [default: 1600x900]")
+        str | None,
+        typer.Option(metavar="WxH", help="Size of the picture in pixels. [default: 1600x900]"),
     ] = None,
     web: Annotated[
-        bool, typer.Option("--web", help="Show them in a browser on this machine instead of a window.")
+        bool,
+        typer.Option("--web", help="Show them in a browser on this machine instead of a window."),
     ] = False,
     port: Annotated[
         int | None,
         typer.Option(
-            min=1, max=65534, metavar="PORT", help="Port of the page, with --web. The next port is also used."
+            min=1,
+            max=65534,
+            metavar="PORT",
+            help="Port of the page, with --web. The next port is also used.",
         ),
     ] = None,
 ) -> None:
@@ -70,7 +88,9 @@ def view(
             raise UsageError(f"-o {out}: is for images. Give --clip {out}")
         from dynaviz.views.read.shot import parse_size, shot
 
-        file, pixels, files = recording_in(recordings[0]), parse_size(size or "1600x900"), []
+        file = recording_in(recordings[0])
+        pixels = parse_size(size or "1600x900")
+        files = []
         with progress("render", unit="images") as report:
             for target in filter(None, (out, clip)):
                 files += shot(file, target, tuple(frames or ()), view_name, pixels, case, report)

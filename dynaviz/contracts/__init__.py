@@ -1,1 +1,4 @@
-"""The contracts that plug-ins use: scans, methods, evidence, metrics, protocols, sensors and parameters."""
+"""The contracts that plug-ins use.
+
+Scans, methods, evidence, metrics, protocols, sensors and parameters.
+"""

@@ -1,6 +1,8 @@
-"""Points at the sensor: rays without return, what is nearer than its minimum range, and the vehicle that carries it.
+"""Points at the sensor: rays without return, what is nearer than its minimum range, and the vehicle
+that carries it.
 
-They are no part of the map, and block every ray that starts there. No method sees them: all are kept, unjudged.
+They are no part of the map, and block every ray that starts there. No method sees them: all are
+kept, unjudged.
 """
 
 from __future__ import annotations
@@ -46,7 +48,9 @@ class AtSensor:
         return found | zero if np.count_nonzero(zero) > ZEROS else found
 
     def hidden(self, scan: Scan) -> tuple[Scan, Bool]:
-        """The scan as methods receive it: without ground truth, and with NaN for the points at the sensor.
+        """The scan as methods receive it.
+
+        Without ground truth, and with NaN for the points at the sensor.
 
         Returns:
             The scan, and (N,) bool: points at the sensor.
@@ -64,17 +68,23 @@ def unjudged(labels: Labels, found: Bool, info: MethodInfo) -> Labels:
     if not found.any():
         return labels
     code = np.uint8(info.reasons.index(AT_SENSOR))
-    return dataclasses.replace(labels, dynamic=labels.dynamic & ~found, reasons=np.where(found, code, labels.reasons))
+    return dataclasses.replace(
+        labels, dynamic=labels.dynamic & ~found, reasons=np.where(found, code, labels.reasons)
+    )
 
 
 def cubes_of(scan: Scan, rows: Intp) -> I64:
-    """(K, 3) int64: the cubes of edge ``CUBE`` in the sensor frame that contain some points of a scan, (K,) rows."""
+    """(K, 3) int64: the cubes of edge ``CUBE`` in the sensor frame that contain some points of a
+    scan, (K,) rows.
+    """
     return np.floor(in_sensor_frame(scan, rows) / CUBE).astype(np.int64)
 
 
 def in_sensor_frame(scan: Scan, rows: Intp) -> F64:
     """(K, 3) float64, metres: some points of a scan, (K,) rows, in the sensor frame."""
-    return geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points[rows].astype(np.float64))
+    return geometry.apply(
+        geometry.inverse(scan.T_world_sensor), scan.points[rows].astype(np.float64)
+    )
 
 
 def _keys(cubes: I64) -> I64:

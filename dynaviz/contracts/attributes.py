@@ -1,7 +1,9 @@
-"""What a sequence knows beyond its scans: attributes, exact coordinates, points without a pose, offset of its world.
+"""What a sequence knows beyond its scans.
 
-Scans carry none of it, so that methods run at the same speed with and without. A second pass over the source reads it
-when a map is written.
+Attributes, exact coordinates, points without a pose, offset of its world.
+
+Scans carry none of it, so that methods run at the same speed with and without. A second pass over
+the source reads it when a map is written.
 """
 
 from __future__ import annotations
@@ -18,13 +20,15 @@ from dynaviz.arrays import F32, F64
 from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, SequenceView
 
 Attributes = Mapping[str, NDArray[Any]]
-"""(N,) integers or floats by name, such as ``intensity`` or ``ring``, in the types of the source."""
+"""(N,) integers or floats by name, such as ``intensity`` or ``ring``, in the types of the source.
+"""
 
 FAR = 10_000.0
 """Metres from the origin beyond which float32 coordinates are coarser than 1 mm."""
 
 STEP = 1000.0
-"""Metres. World frames are shifted by multiples of it, so that voxels keep their place in the world."""
+"""Metres. World frames are shifted by multiples of it, so that voxels keep their place in the
+world."""
 
 
 @runtime_checkable
@@ -32,7 +36,10 @@ class HasAttributes(Protocol):
     """A sequence whose points have attributes."""
 
     def attributes(self, position: int) -> Attributes:
-        """Attributes of the frame at a position, in the order of its points; empty if it has none."""
+        """Attributes of the frame at a position, in the order of its points.
+
+        Empty if it has none.
+        """
         ...
 
 
@@ -48,10 +55,14 @@ class HasOrigin(Protocol):
 
 @runtime_checkable
 class HasCoordinates(Protocol):
-    """A sequence whose source states the coordinates of points in the world frame, so that maps can repeat them."""
+    """A sequence whose source states the coordinates of points in the world frame, so that maps can
+    repeat them.
+    """
 
     def coordinates(self, position: int) -> F32 | F64 | None:
-        """(N, 3), metres, in the world of the source: with ``origin``, and float64 if the source is.
+        """(N, 3), metres, in the world of the source.
+
+        With ``origin``, and float64 if the source is.
 
         None if the points of the scan tell as much.
         """
@@ -88,7 +99,10 @@ class HasLasFile(Protocol):
 
     @property
     def las_file(self) -> Path | None:
-        """The file, whose header a LAS map takes over: coordinate system, scales and offsets; None without one."""
+        """The file, whose header a LAS map takes over: coordinate system, scales and offsets.
+
+        None without one.
+        """
         ...
 
 
@@ -104,16 +118,26 @@ def unposed_of(sequence: Sequence) -> Iterator[Unposed]:
 
 
 def coordinates_of(sequence: Sequence, position: int) -> F32 | F64 | None:
-    """(N, 3), metres: coordinates of a frame as in its source, in its type; None if they follow from its points."""
+    """(N, 3), metres: coordinates of a frame as in its source, in its type.
+
+    None if they follow from its points.
+    """
     if isinstance(sequence, SequenceSlice):
         return coordinates_of(sequence.whole, sequence.positions[position])
     return sequence.coordinates(position) if isinstance(sequence, HasCoordinates) else None
 
 
 def exact_points(sequence: Sequence, position: int, scan: Scan) -> F64:
-    """(N, 3) float64, metres, in the world of the source: as the source states them, otherwise the points of a scan."""
+    """(N, 3) float64, metres, in the world of the source.
+
+    As the source states them, otherwise the points of a scan.
+    """
     given = coordinates_of(sequence, position)
-    return scan.points.astype(np.float64) + origin_of(sequence) if given is None else given.astype(np.float64)
+    return (
+        scan.points.astype(np.float64) + origin_of(sequence)
+        if given is None
+        else given.astype(np.float64)
+    )
 
 
 def las_file_of(sequence: Sequence) -> Path | None:
@@ -138,7 +162,9 @@ def origin_of(sequence: Sequence) -> F64:
 
 
 def far_origin(position: F64) -> F64:
-    """The origin for a world whose first pose is at a position: zero within ``FAR``, otherwise whole kilometres.
+    """The origin for a world whose first pose is at a position.
+
+    Zero within ``FAR``, otherwise whole kilometres.
 
     Args:
         position: (3,) float64, metres.

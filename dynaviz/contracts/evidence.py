@@ -1,8 +1,9 @@
 """Evidence: the numbers behind a label, an optional part of the contract of methods.
 
-A method that implements ``Explains`` can be asked, after each ``observe`` and after ``label``, what it knows about some
-points. ``dynaviz.engine.replay`` runs a method again and asks after each scan; the differences between scans are what
-each scan contributed. A method does no work for this in a normal run.
+A method that implements ``Explains`` can be asked, after each ``observe`` and after ``label``, what
+it knows about some points. ``dynaviz.engine.replay`` runs a method again and asks after each scan;
+the differences between scans are what each scan contributed. A method does no work for this in a
+normal run.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class Asked:
     Attributes:
         scan: the scan with the points. It may not have been observed yet.
         rows: (K,) int64, the points.
-        first: number of points in all scans before this one: the scan's first row in ``Context.raw_map``.
+        first: number of points in all scans before this one: the scan's first row in
+            ``Context.raw_map``.
     """
 
     scan: Scan
@@ -49,7 +51,9 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """What a scan adds to a sum of log-odds at the points where it applies: the logit of a parameter.
+    """What a scan adds to a sum of log-odds at the points where it applies.
+
+    The logit of a parameter.
 
     Attributes:
         name: what the scan saw, such as ``crossed``.
@@ -70,12 +74,15 @@ class Quantity:
         name: a few characters, as in the head of a table.
         values: (K,) float64; NaN where the method has none.
         unit: such as ``m``; empty for counts.
-        total: whether the method accumulates it: its change is what the last scan contributed. Otherwise it is a
-            reading of the last scan alone, and NaN if that scan measured nothing at the point.
+        total: whether the method accumulates it: its change is what the last scan contributed.
+            Otherwise it is a reading of the last scan alone, and NaN if that scan measured nothing
+            at the point.
         threshold: value at which the label changes; None if no single value does.
         legend: names of the values 0, 1, ... of a quantity that is a class.
-        steps: of a sum of log-odds that starts at 0, what the last scan added, in this order. Each sum is clamped.
-        limits: names of the parameters, probabilities, between whose logits it is clamped; empty for none.
+        steps: of a sum of log-odds that starts at 0, what the last scan added, in this order. Each
+            sum is clamped.
+        limits: names of the parameters, probabilities, between whose logits it is clamped; empty
+            for none.
     """
 
     name: str
@@ -121,8 +128,8 @@ class Rule:
     Attributes:
         name: a few words; each rule has its own.
         terms: at least one.
-        lasting: one scan after which all terms hold is enough, whatever later scans show; otherwise the rule counts
-            when the label is decided.
+        lasting: one scan after which all terms hold is enough, whatever later scans show; otherwise
+            the rule counts when the label is decided.
     """
 
     name: str
@@ -139,15 +146,18 @@ class Rule:
 class Evidence:
     """What a method knows about the asked points after the scan that was observed last.
 
-    A point is dynamic if any rule holds. The last rules that are not empty decide, or the first that are ``final``.
+    A point is dynamic if any rule holds. The last rules that are not empty decide, or the first
+    that are ``final``.
 
     Attributes:
-        cells: (K, 2, 3) float64, metres, world frame: lowest and highest corner of the box around each point whose rays
-            are evidence, such as its voxel.
+        cells: (K, 2, 3) float64, metres, world frame: lowest and highest corner of the box around
+            each point whose rays are evidence, such as its voxel.
         quantities: what changes from scan to scan.
-        rules: in these terms the method decides; empty while it cannot, as for points that it judges later.
+        rules: in these terms the method decides; empty while it cannot, as for points that it
+            judges later.
         final: no later scan changes the labels of these points.
-        alone: rays that touch none of the cells never change any of these numbers, whatever else a scan contains.
+        alone: rays that touch none of the cells never change any of these numbers, whatever else a
+            scan contains.
     """
 
     cells: F64
@@ -159,7 +169,10 @@ class Evidence:
 
 @runtime_checkable
 class Explains(Protocol):
-    """A method that states its evidence. The conformance kit compares the verdict of its rules with its labels."""
+    """A method that states its evidence.
+
+    The conformance kit compares the verdict of its rules with its labels.
+    """
 
     def evidence(self, asked: Asked) -> Evidence:
         """State the evidence on points of one scan. Changes no label.
@@ -187,15 +200,21 @@ class Verdict:
         """Take the evidence after one more scan, or after the label."""
         if self.final or not evidence.rules:
             return
-        self.rules, self.final = evidence.rules, evidence.final
+        self.rules = evidence.rules
+        self.final = evidence.final
         for rule in evidence.rules:
             if rule.lasting:
                 held = rule.holds()
-                self.lasting[rule.name] = held | self.lasting[rule.name] if rule.name in self.lasting else held
+                self.lasting[rule.name] = (
+                    held | self.lasting[rule.name] if rule.name in self.lasting else held
+                )
 
     def held(self) -> dict[str, Bool]:
         """(K,) bool by name of the rule: whether it removes each point."""
-        return {rule.name: self.lasting[rule.name] if rule.lasting else rule.holds() for rule in self.rules}
+        return {
+            rule.name: self.lasting[rule.name] if rule.lasting else rule.holds()
+            for rule in self.rules
+        }
 
     def dynamic(self) -> Bool | None:
         """(K,) bool; None before any rule was stated."""
@@ -204,7 +223,10 @@ class Verdict:
 
 
 def voxels_around(points: F32, size: float) -> F64:
-    """(K, 2, 3) float64, metres: lowest and highest corner of the voxel of each point (K, 3); NaN where not finite."""
+    """(K, 2, 3) float64, metres: lowest and highest corner of the voxel of each point (K, 3).
+
+    NaN where not finite.
+    """
     low = np.floor(points.astype(np.float64) / size) * size
     low[~np.isfinite(low).all(1)] = np.nan
     return np.stack([low, low + size], 1)

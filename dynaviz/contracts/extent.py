@@ -16,7 +16,8 @@ CELL = 0.8  # metres: 8 voxels of 0.1 m, the block size of most grids
 PARTS = 4  # along each axis of a cell
 FAR = 100_000.0  # metres; within the key range of 0.1 m voxels
 STRIDES = np.array([16, 4, 1], np.uint64)  # of the bits of parts, along x, y and z
-FIRST = np.array([0xFFFF, 0x000F000F000F000F, 0x1111111111111111], np.uint64)  # the first parts along x, y and z
+# the first parts along x, y and z
+FIRST = np.array([0xFFFF, 0x000F000F000F000F, 0x1111111111111111], np.uint64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +26,10 @@ class Extent:
 
     Attributes:
         low, high: (3,) float64, metres, world frame: bounds of all finite points and ray origins.
-        cells: (C, 3) int32: cubes of ``CELL`` metres that contain at least one point; cube k spans [k, k + 1) * CELL.
-        parts: (C,) uint64: which of the 4^3 parts of each cell contain points: bit 16 x + 4 y + z; None if unknown.
+        cells: (C, 3) int32: cubes of ``CELL`` metres that contain at least one point; cube k spans
+            [k, k + 1) * CELL.
+        parts: (C,) uint64: which of the 4^3 parts of each cell contain points: bit 16 x + 4 y + z;
+            None if unknown.
     """
 
     low: F64
@@ -43,13 +46,23 @@ class Extent:
         return growing.extent()
 
     def cropped(self, low: F64, high: F64) -> Extent:
-        """The same bounds, with the cells that touch a rectangle in x and y only; corners (2,) metres, world frame."""
+        """The same bounds, with the cells that touch a rectangle in x and y only.
+
+        Corners (2,) metres, world frame.
+        """
         touching = (self.cells[:, :2] * CELL <= high) & ((self.cells[:, :2] + 1) * CELL >= low)
         inside = touching.all(1)
-        return Extent(self.low, self.high, self.cells[inside], None if self.parts is None else self.parts[inside])
+        return Extent(
+            self.low,
+            self.high,
+            self.cells[inside],
+            None if self.parts is None else self.parts[inside],
+        )
 
     def widened(self, around: float, axes: tuple[int, ...] = (0, 1, 2)) -> Extent:
-        """The extent, enlarged along some axes to all parts of cells within ``around`` metres to both sides."""
+        """The extent, enlarged along some axes to all parts of cells within ``around`` metres to
+        both sides.
+        """
         keys = pack_indices(self.cells)
         parts = ~np.zeros(len(keys), np.uint64) if self.parts is None else self.parts
         for axis in axes:
@@ -64,7 +77,8 @@ class GrowingExtent:
     """The extent of the scans added so far."""
 
     def __init__(self) -> None:
-        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+        self._low = np.full(3, np.inf)
+        self._high = np.full(3, -np.inf)
         self._parts = KeySet()
 
     def add(self, scan: Scan, rectangle: F64 | None = None) -> None:
@@ -72,12 +86,17 @@ class GrowingExtent:
 
         Args:
             scan: the scan.
-            rectangle: (2, 2) float64, metres: lower and upper corner in x and y; cells count within it only.
+            rectangle: (2, 2) float64, metres: lower and upper corner in x and y; cells count within
+                it only.
 
         Raises:
             DynavizError: if a point or ray origin is farther than ``FAR`` from the world's origin.
         """
-        finite = scan.points if np.isfinite(scan.points).all() else scan.points[np.isfinite(scan.points).all(1)]
+        finite = (
+            scan.points
+            if np.isfinite(scan.points).all()
+            else scan.points[np.isfinite(scan.points).all(1)]
+        )
         for xyz in (finite, scan.origins):
             if len(xyz):
                 columns = [xyz[:, axis] for axis in range(3)]  # much faster than reducing rows
@@ -86,8 +105,10 @@ class GrowingExtent:
         farthest = max(-self._low.min(), self._high.max())
         if farthest > FAR:
             raise DynavizError(
-                f"frame {scan.index}: a point or sensor position is {farthest / 1000:.3g} km from the world's origin, "
-                "where float32 is too coarse. Move the world's origin to the first pose, or remove such points."
+                f"frame {scan.index}: a point or sensor position is {farthest / 1000:.3g} km from "
+                "the world's origin, "
+                "where float32 is too coarse. Move the world's origin to the first pose, or remove "
+                "such points."
             )
         if rectangle is not None:
             inside = np.ones(len(finite), np.bool_)
@@ -106,17 +127,24 @@ class GrowingExtent:
 
 
 def _grown(keys: I64, parts: U64, axis: int, times: int) -> tuple[I64, U64]:
-    """Packed keys of cells, and their parts, up to ``PARTS`` times one part farther to both sides along an axis."""
-    one, three, first = STRIDES[axis], 3 * STRIDES[axis], FIRST[axis]
+    """Packed keys of cells, and their parts, up to ``PARTS`` times one part farther to both sides
+    along an axis.
+    """
+    one = STRIDES[axis]
+    three = 3 * STRIDES[axis]
+    first = FIRST[axis]
     last = first << three
     above, below = np.zeros((2, len(keys)), np.uint64)  # parts in the adjacent cells
     for _ in range(times):
         above |= (above & ~last) << one | parts >> three & first
         below |= (below & ~first) >> one | (parts & first) << three
         parts = parts | (parts & ~last) << one | (parts & ~first) >> one
-    step, up, down = np.int64(1) << SHIFTS[axis], above > 0, below > 0
+    step = np.int64(1) << SHIFTS[axis]
+    up = above > 0
+    down = below > 0
     return _merged(
-        np.concatenate([keys, keys[up] + step, keys[down] - step]), np.concatenate([parts, above[up], below[down]])
+        np.concatenate([keys, keys[up] + step, keys[down] - step]),
+        np.concatenate([parts, above[up], below[down]]),
     )
 
 

@@ -1,4 +1,7 @@
-"""Checks of arrays that users give, in one place: each error names the scan and the field, and says what to give."""
+"""Checks of arrays that users give, in one place.
+
+Each error names the scan and the field, and says what to give.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,10 @@ from dynaviz.arrays import F64
 from dynaviz.errors import UsageError
 from dynaviz.spatial import geometry
 
-SCANS = "Give a list of (points, pose) or (points, pose, stamp): (N, 3 or more) metres in the sensor frame, (4, 4), ns"
+SCANS = (
+    "Give a list of (points, pose) or (points, pose, stamp): (N, 3 or more) metres in the sensor "
+    "frame, (4, 4), ns"
+)
 _POINTS = "Give (N, 3 or more) numbers, metres"
 _POSE = "Give T_world_sensor: (4, 4), metres, a rotation and a position, with the last row 0 0 0 1"
 
@@ -24,7 +30,12 @@ def given_points(points: ArrayLike, scan: int) -> NDArray[Any]:
     """
     array = np.asarray(points)
     found = f"scan {scan}, points: {array.shape} of {array.dtype}"
-    if array.ndim == 2 and array.shape[0] in (3, 4) and array.shape[1] > 4 and array.dtype.kind in "fiu":
+    if (
+        array.ndim == 2
+        and array.shape[0] in (3, 4)
+        and array.shape[1] > 4
+        and array.dtype.kind in "fiu"
+    ):
         raise UsageError(f"{found}. {_POINTS}: points.T")
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
         raise UsageError(f"{found}. {_POINTS}")
@@ -47,8 +58,14 @@ def given_pose(pose: ArrayLike, scan: int) -> F64:
     if not np.isfinite(T).all():
         raise UsageError(f"{where}: has NaN or infinite numbers. Leave out scans without a pose")
     if not np.allclose(T[3], [0, 0, 0, 1], atol=1e-6):
-        turned = ". The matrix may be transposed: pose.T" if np.allclose(T[:, 3], [0, 0, 0, 1], atol=1e-6) else ""
-        raise UsageError(f"{where}: the last row is {' '.join(f'{x:g}' for x in T[3])}{turned}. {_POSE}")
+        turned = (
+            ". The matrix may be transposed: pose.T"
+            if np.allclose(T[:, 3], [0, 0, 0, 1], atol=1e-6)
+            else ""
+        )
+        raise UsageError(
+            f"{where}: the last row is {' '.join(f'{x:g}' for x in T[3])}{turned}. {_POSE}"
+        )
     if (problem := geometry.rotation_problem(T[:3, :3])) is not None:
         raise UsageError(f"{where}: {problem}. {_POSE}")
     return T

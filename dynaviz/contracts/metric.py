@@ -32,7 +32,9 @@ class Labelled:
     answered: bool = True
 
     @classmethod
-    def of(cls, frame: int, scan: Scan, dynamic: Bool, reasons: U8, answered: bool = True) -> Labelled:
+    def of(
+        cls, frame: int, scan: Scan, dynamic: Bool, reasons: U8, answered: bool = True
+    ) -> Labelled:
         """Compare a scan's labels with its ground truth, unless there is no answer to compare."""
         scan = scan if answered else scan.unscored()
         return cls(frame, scan, dynamic, reasons, outcomes(scan.labels, dynamic), answered)
@@ -40,7 +42,10 @@ class Labelled:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameHistograms:
-    """A histogram per frame: edges (B + 1,) float64 and counts (frames, B) int64. The last bin is open."""
+    """A histogram per frame: edges (B + 1,) float64 and counts (frames, B) int64.
+
+    The last bin is open.
+    """
 
     title: str
     unit: str
@@ -74,11 +79,13 @@ Figure = FrameHistograms | FrameBoxes
 
 
 class Metric(Protocol):
-    """Computes one or more sections of the result, in memory that does not grow with the number of points.
+    """Computes one or more sections of the result, in memory that does not grow with the number of
+    points.
 
-    Constructed for each run with the method's info. Two functions are optional: the static ``combine(sections)``
-    combines its sections of several sequences by adding counts (see ``Confusion``); ``cleaned_map(points)`` receives
-    the map itself if the map of another program is scored (see ``Voxelwise``).
+    Constructed for each run with the method's info. Two functions are optional: the static
+    ``combine(sections)`` combines its sections of several sequences by adding counts (see
+    ``Confusion``); ``cleaned_map(points)`` receives the map itself if the map of another program is
+    scored (see ``Voxelwise``).
     """
 
     def __init__(self, info: MethodInfo) -> None: ...

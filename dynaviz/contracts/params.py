@@ -1,4 +1,7 @@
-"""Parameters of a method, in layers: defaults < preset < file < ``--set``. Each value keeps the layer that set it."""
+"""Parameters of a method, in layers: defaults < preset < file < ``--set``.
+
+Each value keeps the layer that set it.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +45,16 @@ def resolve(
 
     Args:
         method: the class of a method.
-        preset: name of a preset. Its files have one table per method; this method need not be among them.
-        config: a TOML file with the parameters in a table named after the method, or at the top level.
-        settings: ``KEY=VALUE`` or ``METHOD.KEY=VALUE``, with values as in TOML; or a dictionary of values.
+        preset: name of a preset. Its files have one table per method; this method need not be among
+            them.
+        config: a TOML file with the parameters in a table named after the method, or at the top
+            level.
+        settings: ``KEY=VALUE`` or ``METHOD.KEY=VALUE``, with values as in TOML; or a dictionary of
+            values.
 
     Raises:
-        UsageError: for an unknown preset or parameter, or an invalid value; the message names the layer.
+        UsageError: for an unknown preset or parameter, or an invalid value; the message names the
+            layer.
         DataError: for a file that cannot be read.
     """
     name = method.info.name
@@ -59,7 +66,9 @@ def resolve(
         table, run = _config(Path(config), name)
         layers.append((os.fspath(config), table))
     if isinstance(settings, Mapping):
-        layers.append(("settings", {key.removeprefix(f"{name}."): value for key, value in settings.items()}))
+        layers.append(
+            ("settings", {key.removeprefix(f"{name}."): value for key, value in settings.items()})
+        )
     elif isinstance(settings, str):
         raise UsageError(f"settings = {settings!r}: give a list of KEY=VALUE, or a dictionary")
     else:
@@ -68,7 +77,9 @@ def resolve(
     for layer, table in layers:
         for key, value in table.items():
             if key not in source:
-                raise UsageError(f"{layer}: {name} has no parameter '{key}'. {suggest(key, source)}")
+                raise UsageError(
+                    f"{layer}: {name} has no parameter '{key}'. {suggest(key, source)}"
+                )
             values[key] = _coerce(value, kinds[key], f"{layer}: {name}.{key}")
             source[key] = layer
     try:
@@ -79,13 +90,16 @@ def resolve(
 
 
 def require(params: Any, names: str, fits: Callable[[Any], Any], what: str) -> None:
-    """Check parameters, in ``__post_init__``: ``require(self, "near far", lambda x: x > 0, "metres above 0")``.
+    """Check parameters, in ``__post_init__``: ``require(self, "near far", lambda x.
+
+    X > 0, "metres above 0")``.
 
     Args:
         params: the parameters of a method.
         names: those that are checked, separated by spaces.
         fits: whether a value is valid.
-        what: the valid values in words, such as ``metres above 0``; also shown where parameters are described.
+        what: the valid values in words, such as ``metres above 0``; also shown where parameters are
+            described.
 
     Raises:
         ValueError: for the first one whose value is not valid.
@@ -97,15 +111,21 @@ def require(params: Any, names: str, fits: Callable[[Any], Any], what: str) -> N
 
 @dataclass(frozen=True)
 class Described:
-    """A parameter in words: its meaning with the unit, and the values that it may have; empty where unknown."""
+    """A parameter in words: its meaning with the unit, and the values that it may have.
+
+    Empty where unknown.
+    """
 
     meaning: str
     range: str
 
 
 def describe(kind: type[Any]) -> dict[str, Described]:
-    """What the parameters of a method mean, from the docstring of its ``Params`` and the values that it rejects."""
-    meanings, ranges = _attributes(kind.__doc__ or ""), _ranges(kind)
+    """What the parameters of a method mean, from the docstring of its ``Params`` and the values
+    that it rejects.
+    """
+    meanings = _attributes(kind.__doc__ or "")
+    ranges = _ranges(kind)
     names = [field.name for field in dataclasses.fields(kind)]
     return {name: Described(meanings.get(name, ""), ranges.get(name, "")) for name in names}
 
@@ -147,7 +167,9 @@ def to_toml(name: str, params: Any, run: Mapping[str, Any]) -> bytes:
     return tomli_w.dumps({"run": dict(run), name: dataclasses.asdict(params)}).encode()
 
 
-def read_toml(path: Path, hint: str = "For the parameter names run 'dynaviz list METHOD'") -> dict[str, Any]:
+def read_toml(
+    path: Path, hint: str = "For the parameter names run 'dynaviz list METHOD'"
+) -> dict[str, Any]:
     """Read a TOML file; ``hint`` says what to give instead.
 
     Raises:
@@ -158,7 +180,10 @@ def read_toml(path: Path, hint: str = "For the parameter names run 'dynaviz list
             return tomllib.load(file)
     except OSError as error:
         raise DataError(path, error.strerror or "cannot be read", hint=hint) from None
-    except (ValueError, RecursionError) as error:  # also invalid UTF-8, too long integers, too deep nesting
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # also invalid UTF-8, too long integers, too deep nesting
         raise DataError(path, f"not valid TOML: {error}", hint=hint) from None
 
 
@@ -177,16 +202,22 @@ def _preset(preset: str, name: str) -> dict[str, Any]:
     known = preset_files()
     if preset not in known:
         raise UsageError(f"unknown preset '{preset}'. {suggest(preset, known)}")
-    return {key: value for path in known[preset] for key, value in read_toml(path).get(name, {}).items()}
+    return {
+        key: value for path in known[preset] for key, value in read_toml(path).get(name, {}).items()
+    }
 
 
 def _config(path: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     content = read_toml(path)
     run = content.pop("run", {})
-    table = content.get(name, {key: value for key, value in content.items() if not isinstance(value, dict)})
+    table = content.get(
+        name, {key: value for key, value in content.items() if not isinstance(value, dict)}
+    )
     for title, value in (("run", run), (name, table)):
         if not isinstance(value, dict):
-            raise DataError(path, f"{title} = {value!r} is not a table", hint=f"Write a table: [{title}]")
+            raise DataError(
+                path, f"{title} = {value!r} is not a table", hint=f"Write a table: [{title}]"
+            )
     for key, kind in (("online", bool), ("seed", int)):
         if key in run and (type(run[key]) is not kind or run[key] < 0):
             raise DataError(
@@ -210,7 +241,12 @@ def _setting(text: str, name: str) -> tuple[str, Any]:
 
 def _coerce(value: Any, kind: Any, place: str) -> Any:
     """Convert a TOML value to the type of a parameter: int to float, list to tuple."""
-    if kind is float and isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 1000:
+    if (
+        kind is float
+        and isinstance(value, int)
+        and not isinstance(value, bool)
+        and abs(value) < 1 << 1000
+    ):
         return float(value)
     origin = getattr(kind, "__origin__", kind)
     if origin is tuple and isinstance(value, list):

@@ -17,7 +17,8 @@ from dynaviz.contracts import registry
 
 SHARED = ("dynaviz.kernels", "dynaviz.blocks", "dynaviz.spatial")
 """Packages of dynaviz whose code may decide labels."""
-_parsing = threading.Lock()  # threads that parse at once share a counter in Python 3.11, which then raises SystemError
+# threads that parse at once share a counter in Python 3.11, which then raises SystemError
+_parsing = threading.Lock()
 
 
 class Plugin(Struct, frozen=True):
@@ -26,8 +27,8 @@ class Plugin(Struct, frozen=True):
     Attributes:
         target: ``module:Class``.
         package, version: the distribution that provides it.
-        sha256: digest of its module and of the modules that this imports from its own package, from ``kernels``,
-            ``blocks`` and ``spatial``; empty if they have no source files.
+        sha256: digest of its module and of the modules that this imports from its own package, from
+            ``kernels``, ``blocks`` and ``spatial``; empty if they have no source files.
     """
 
     target: str = ""
@@ -51,10 +52,13 @@ def plugin(kind: str, name: str) -> Plugin | None:
 def _closure(module: str) -> dict[str, Path]:
     """The source files of a module and of the modules that it imports, by name."""
     found: dict[str, Path] = {}
-    own, left = module.partition(".")[0], [module]
+    own = module.partition(".")[0]
+    left = [module]
     while left:
         name = left.pop()
-        if name in found or not (name == own or name.startswith((f"{own}.", *(f"{each}." for each in SHARED)))):
+        if name in found or not (
+            name == own or name.startswith((f"{own}.", *(f"{each}." for each in SHARED)))
+        ):
             continue
         if (file := _file(name)) is not None:
             found[name] = file
@@ -80,7 +84,11 @@ def _imports(module: str, file: Path) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = ".".join(package.split(".")[: len(package.split(".")) - node.level + 1]) if node.level else ""
+            base = (
+                ".".join(package.split(".")[: len(package.split(".")) - node.level + 1])
+                if node.level
+                else ""
+            )
             parent = ".".join(filter(None, [base, node.module]))
             yield from (parent, *(f"{parent}.{alias.name}" for alias in node.names))
     yield from (f"dynaviz.kernels.{name}" for name in re.findall(r"\bkernels\.(\w+)", text))

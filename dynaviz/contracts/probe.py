@@ -1,7 +1,8 @@
 """Probes receive a method's internal states: named values that the method emits.
 
-A method declares its states in ``MethodInfo.emits`` and computes expensive values only if ``probe.wants(name)``.
-A probe may use a value until the method's call returns; afterwards the method may reuse its arrays.
+A method declares its states in ``MethodInfo.emits`` and computes expensive values only if
+``probe.wants(name)``. A probe may use a value until the method's call returns; afterwards the
+method may reuse its arrays.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from dynaviz.arrays import F32, F64, I32, U8, Bool
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Points: xyz (N, 3) float32, metres, world frame; values (N,) float32, optional, on a colour scale."""
+    """Points: xyz (N, 3) float32, metres, world frame.
+
+    Values (N,) float32, optional, on a colour scale.
+    """
 
     xyz: F32
     values: F32 | None = None
@@ -94,15 +98,18 @@ Value = Points | PointClasses | Mask | RangeImage | PolarGrid | Voxels | Plane |
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """An internal state that a method emits. The viewer's layout, the report and the tests are generated from it.
+    """An internal state that a method emits.
+
+    The viewer's layout, the report and the tests are generated from it.
 
     Attributes:
         name: short, constant name; also the last part of its path in the recording.
         kind: type of the value.
         meaning: one sentence that explains it.
-        legend: class names of a ``PointClasses``, or of a ``PolarGrid`` whose values are classes, by index; empty for
-            an index that is not in use.
-        value_range: range of the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or ``RangeImage``.
+        legend: class names of a ``PointClasses``, or of a ``PolarGrid`` whose values are classes,
+            by index; empty for an index that is not in use.
+        value_range: range of the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or
+            ``RangeImage``.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """The contract of a protocol: how a benchmark or a family of papers counts the labels of a run.
 
-Protocols are computed on demand from the stored labels of a run (``dynaviz report --format board``), not
-during the run.
+Protocols are computed on demand from the stored labels of a run (``dynaviz report --format
+board``), not during the run.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class ProtocolInfo:
         ignores: what is left out.
         combines: how frames and sequences are combined.
         scores: names of its scores in percent; the first is the main one.
-        splits: official splits, with the names of their sequences; empty if there are none, or if they are lists of
-            frames.
+        splits: official splits, with the names of their sequences; empty if there are none, or if
+            they are lists of frames.
     """
 
     name: str
@@ -41,7 +41,9 @@ class ProtocolInfo:
 
 
 class ProtocolScores(Struct, frozen=True):
-    """The scores of a run under a protocol in percent, None where undefined, and the counts that they follow from."""
+    """The scores of a run under a protocol in percent, None where undefined, and the counts that
+    they follow from.
+    """
 
     scores: Mapping[str, float | None]
     counts: Mapping[str, float] = {}

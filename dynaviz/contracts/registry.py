@@ -1,4 +1,6 @@
-"""Find methods, datasets, metrics and reports through entry points, built-in ones and plug-ins alike."""
+"""Find methods, datasets, metrics and reports through entry points, built-in ones and plug-ins
+alike.
+"""
 
 from __future__ import annotations
 
@@ -43,8 +45,10 @@ class PluginHandle:
             return getattr(importlib.import_module(module), attribute)
         except Exception as error:
             raise PluginError(
-                f"{self.kind.removesuffix('s')} '{self.name}' of {self.distribution} {self.version} cannot be loaded: "
-                f"{type(error).__name__}: {error}. Reinstall that package or report it to its authors."
+                f"{self.kind.removesuffix('s')} '{self.name}' of {self.distribution} "
+                f"{self.version} cannot be loaded: "
+                f"{type(error).__name__}: {error}. Reinstall that package or report it to its "
+                "authors."
             ) from error
 
     @property
@@ -54,7 +58,10 @@ class PluginHandle:
 
 
 def handles(kind: str) -> list[PluginHandle]:
-    """All plug-ins of a kind, sorted by name. If two have the same name, the first one found is used."""
+    """All plug-ins of a kind, sorted by name.
+
+    If two have the same name, the first one found is used.
+    """
     return list(_handles(kind, tuple(sys.path)))
 
 
@@ -81,7 +88,10 @@ def load(kind: str, name: str) -> Any:
 
 
 def loadable(kind: str) -> dict[str, Any]:
-    """All plug-ins of a kind by name, loaded. A plug-in that cannot be loaded raises a warning and is left out."""
+    """All plug-ins of a kind by name, loaded.
+
+    A plug-in that cannot be loaded raises a warning and is left out.
+    """
     found = {}
     for handle in handles(kind):
         try:

@@ -27,7 +27,9 @@ class Label(IntEnum):
 
 
 class Outcome(IntEnum):
-    """Outcome of a point: its ground truth combined with the method's label ("positive" = dynamic)."""
+    """Outcome of a point: its ground truth combined with the method's label
+    ("positive" = dynamic).
+    """
 
     STATIC_KEPT = 0
     DYNAMIC_REMOVED = 1
@@ -42,16 +44,19 @@ class Scan:
     """One sweep of the sensor, in the world frame. Its arrays are read-only.
 
     Attributes:
-        index: number of the frame in its data set (for example the file's number), not its position in the sequence.
+        index: number of the frame in its data set (for example the file's number), not its position
+            in the sequence.
         points: (N, 3) float32, metres, world frame; C-contiguous. May contain non-finite values.
         T_world_sensor: (4, 4) float64, metres; the sensor's pose.
         stamp_ns: time of the sweep in nanoseconds, or None if unknown.
         labels: (N,) uint8, a ``Label`` per point, or None without ground truth.
         classes: (N,) uint16, the data set's class per point, or None.
         instances: (N,) int32, object number per point, 0 for no object; or None.
-        origins: (1, 3) or (N, 3) float64, metres, world frame; origin of each ray. Default: the sensor's position.
+        origins: (1, 3) or (N, 3) float64, metres, world frame; origin of each ray. Default: the
+            sensor's position.
         class_names: names of the numbers in ``classes``, if known.
-        times: (N,) float32, seconds; when each point was measured, relative to the scan's time; or None if unknown.
+        times: (N,) float32, seconds; when each point was measured, relative to the scan's time; or
+            None if unknown.
 
     Raises:
         ValueError: if the shapes do not match.
@@ -71,10 +76,18 @@ class Scan:
     def __post_init__(self) -> None:
         n = len(self.points)
         if np.shape(self.T_world_sensor) != (4, 4):
-            raise ValueError(f"scan {self.index}: T_world_sensor has shape {np.shape(self.T_world_sensor)}, not (4, 4)")
+            raise ValueError(
+                f"scan {self.index}: T_world_sensor has shape {np.shape(self.T_world_sensor)}, not "
+                "(4, 4)"
+            )
         self._set("points", np.float32, (n, 3))
         self._set("T_world_sensor", np.float64, (4, 4))
-        arrays = (("labels", np.uint8), ("classes", np.uint16), ("instances", np.int32), ("times", np.float32))
+        arrays = (
+            ("labels", np.uint8),
+            ("classes", np.uint16),
+            ("instances", np.int32),
+            ("times", np.float32),
+        )
         for name, dtype in arrays:
             if getattr(self, name) is not None:
                 self._set(name, dtype, (n,))
@@ -102,12 +115,14 @@ class Scan:
     def squared_ranges(self, chosen: Intp | None = None) -> F32:
         """(N,) float32, square metres: squared range of each point from the origin of its ray.
 
-        Compare them with squared limits: the square root of a value just below a limit may round up to that limit.
+        Compare them with squared limits: the square root of a value just below a limit may round up
+        to that limit.
 
         Args:
             chosen: (K,) indices of points, to compute only theirs; None for all.
         """
-        points, origins = self.points, self.origins
+        points = self.points
+        origins = self.origins
         if chosen is not None:
             points = points[chosen]
             origins = origins if len(origins) == 1 else origins[chosen]
@@ -123,19 +138,28 @@ class Scan:
     def chosen(self, rows: Intp) -> Scan:
         """The scan reduced to some of its points, (K,) rows."""
         fields = ("points", "labels", "classes", "instances", "times")
-        arrays = {name: array[rows] for name in fields if (array := getattr(self, name)) is not None}
+        arrays = {
+            name: array[rows] for name in fields if (array := getattr(self, name)) is not None
+        }
         origins = self.origins if len(self.origins) == 1 else self.origins[rows]
         return dataclasses.replace(self, **arrays, origins=origins)
 
     def moved(self, offset: F64) -> Scan:
-        """The scan with ``offset``, (3,) metres, added to all positions; in float64 before rounding."""
+        """The scan with ``offset``, (3,) metres, added to all positions.
+
+        In float64 before rounding.
+        """
         T_world_sensor = self.T_world_sensor.copy()
         T_world_sensor[:3, 3] += offset
         points = (self.points.astype(np.float64) + offset).astype(np.float32)
-        return dataclasses.replace(self, points=points, T_world_sensor=T_world_sensor, origins=self.origins + offset)
+        return dataclasses.replace(
+            self, points=points, T_world_sensor=T_world_sensor, origins=self.origins + offset
+        )
 
     def unscored(self) -> Scan:
-        """The scan with all points unlabelled, as if its sequence had ground truth for other scans only."""
+        """The scan with all points unlabelled, as if its sequence had ground truth for other scans
+        only.
+        """
         labels = None if self.labels is None else np.full(len(self), Label.UNLABELLED, np.uint8)
         return dataclasses.replace(self, labels=labels, classes=None, instances=None)
 
@@ -151,7 +175,9 @@ def outcomes(labels: U8 | None, dynamic: Bool) -> U8:
         (N,) uint8, an ``Outcome`` per point.
     """
     if labels is None:
-        return np.where(dynamic, Outcome.UNLABELLED_REMOVED, Outcome.UNLABELLED_KEPT).astype(np.uint8)
+        return np.where(dynamic, Outcome.UNLABELLED_REMOVED, Outcome.UNLABELLED_KEPT).astype(
+            np.uint8
+        )
     table = np.full((256, 2), (Outcome.UNLABELLED_KEPT, Outcome.UNLABELLED_REMOVED), np.uint8)
     table[Label.STATIC] = Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE
     table[Label.DYNAMIC] = Outcome.FALSE_NEGATIVE, Outcome.DYNAMIC_REMOVED
@@ -205,7 +231,10 @@ class HasUnmatchedPoints(Protocol):
 
 
 class SequenceView:
-    """A sequence made of another one, ``whole``: with its name, sensor, ground truth and length unless overridden."""
+    """A sequence made of another one, ``whole``.
+
+    With its name, sensor, ground truth and length unless overridden.
+    """
 
     whole: Sequence
 
@@ -241,7 +270,9 @@ class WithoutTruth(SequenceView):
 
 @dataclass(frozen=True)
 class SequenceSlice:
-    """Selected frames of a sequence (``--frames A:B --stride K``), optionally with another sensor or name."""
+    """Selected frames of a sequence (``--frames A:B --stride K``), optionally with another sensor
+    or name.
+    """
 
     whole: Sequence
     positions: range
@@ -261,7 +292,10 @@ class SequenceSlice:
 
 
 def base_of(sequence: Sequence) -> Sequence:
-    """The sequence from which frames were selected, however often: it has the files and facts of its format."""
+    """The sequence from which frames were selected, however often.
+
+    It has the files and facts of its format.
+    """
     while isinstance(sequence, SequenceSlice):
         sequence = sequence.whole
     return sequence
@@ -284,16 +318,22 @@ def select_frames(
     if frames is None and stride == 1 and sensor is None:
         return sequence
     if stride < 1:
-        raise UsageError(f"--stride {stride}: must be at least 1. Give 1 for every frame, 2 for every second frame")
+        raise UsageError(
+            f"--stride {stride}: must be at least 1. Give 1 for every frame, 2 for every second "
+            "frame"
+        )
     try:
         first, last = (int(x) if x.strip() else None for x in (frames or ":").split(":"))
     except ValueError:
         raise UsageError(
-            f"--frames {frames}: invalid range. Give A:B, for example 0:100 for the first hundred frames"
+            f"--frames {frames}: invalid range. Give A:B, for example 0:100 for the first hundred "
+            "frames"
         ) from None
     positions = range(len(sequence))[slice(first, last, stride)]
     if not positions:
-        raise UsageError(f"--frames {frames}: selects none of the {len(sequence)} frames of {sequence.name}")
+        raise UsageError(
+            f"--frames {frames}: selects none of the {len(sequence)} frames of {sequence.name}"
+        )
     return SequenceSlice(sequence, positions, sensor or sequence.sensor, sequence.name)
 
 
@@ -309,7 +349,9 @@ class Frames(Protocol[F]):
 
 
 def stream(sequence: Frames[F], ahead: int = 2) -> Iterator[F]:
-    """Iterate over frames, such as those of a sequence; a separate thread reads up to ``ahead`` frames in advance.
+    """Iterate over frames, such as those of a sequence.
+
+    A separate thread reads up to ``ahead`` frames in advance.
 
     A read error is raised at the frame that caused it. Leaving the loop early stops the thread.
     """

@@ -31,16 +31,22 @@ from dynaviz.sources.pose_noise import PoseNoiseMeter
 
 __all__ = ["DRIFT", "Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
 
-MAX_FRAMES, STRETCH = 400, 20  # frames read of a long sequence, and consecutive frames in each stretch
-PLACES, QUICK_PLACES = 12, 5  # scans whose places are looked for in later ones, to find drift
+# frames read of a long sequence, and consecutive frames in each stretch
+MAX_FRAMES = 400
+STRETCH = 20
+# scans whose places are looked for in later ones, to find drift
+PLACES = 12
+QUICK_PLACES = 5
 KEEPS_RANGES = ("ground height",)  # findings on poses that do not affect distances from the sensor
 
 
-def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = silent) -> Diagnosis:
+def doctor(
+    sequence: Sequence | str | os.PathLike[str], *, progress: Progress = silent
+) -> Diagnosis:
     """Diagnose a sequence and suggest fixes.
 
-    If the sequence has more than ``MAX_FRAMES`` frames, stretches of ``STRETCH`` frames are read, spread over the whole
-    sequence.
+    If the sequence has more than ``MAX_FRAMES`` frames, stretches of ``STRETCH`` frames are read,
+    spread over the whole sequence.
 
     Args:
         sequence: an open sequence, or a path. To pass options, open the path with ``dynaviz.open``.
@@ -56,10 +62,13 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         sequence = open_sequence(os.fspath(sequence))
     elif not isinstance(sequence, Sequence):
         sequence = ArraySequence.of(sequence)
-    checker, findings, errors = ScanChecker(sequence), list[Finding](), list[DataError]()
+    checker = ScanChecker(sequence)
+    findings = list[Finding]()
+    errors = list[DataError]()
     if not len(sequence):
         raise DataError(sequence.name, "contains no frame", hint="Give the folder of a sequence")
-    chosen, noise = _positions_to_read(len(sequence)), PoseNoiseMeter(len(sequence))
+    chosen = _positions_to_read(len(sequence))
+    noise = PoseNoiseMeter(len(sequence))
     for done, (position, scan) in enumerate(_read(sequence, chosen), 1):
         if isinstance(scan, DataError):
             errors.append(scan)
@@ -71,39 +80,52 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         raise errors[0]
     findings += _unreadable(errors)
     if columns := list(check_columns(sequence, checker.indices[0], checker.positions[0])):
+        # the rest follows
         return Diagnosis.of(
             sequence.name, len(sequence), len(chosen), columns + findings, of_poses=columns
-        )  # the rest follows
+        )
     groups = FrameGroups(sequence)
     alignment_findings = list(_check_alignment(groups, progress))
     misaligned = any(finding.name not in KEEPS_RANGES for finding in alignment_findings)
-    findings += alignment_findings  # first among equal confidence: other findings may follow from these
+    findings += (
+        alignment_findings  # first among equal confidence: other findings may follow from these
+    )
     other_unit = any(finding.name in FACTORS for finding in alignment_findings)
     follow = {"ego points", *(("far points",) if other_unit else ())} if misaligned else set[str]()
     findings += (finding for finding in checker.findings() if finding.name not in follow)
     jumps = list[Finding]()
     if len(checker.positions) > 1 and not other_unit:
-        findings += (jumps := list(trajectory.jumps(checker.positions, checker.indices, checker.poses)))
+        findings += (
+            jumps := list(trajectory.jumps(checker.positions, checker.indices, checker.poses))
+        )
     if not misaligned and not jumps:
         places = looks(checker.positions, checker.poses, checker.usable, PLACES)
-        ends = {(checker.positions[a], checker.positions[b]) for a, b in places} | set(_quick_places(groups))
+        ends = {(checker.positions[a], checker.positions[b]) for a, b in places} | set(
+            _quick_places(groups)
+        )
         drift = list(check_drift(_seen(groups, sorted(ends), progress)))
         findings += drift
         alignment_findings += drift
-    diagnosis = Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, of_poses=alignment_findings)
+    diagnosis = Diagnosis.of(
+        sequence.name, len(sequence), len(chosen), findings, of_poses=alignment_findings
+    )
     if misaligned:
         return diagnosis
     positions = [pose[:3, 3] for pose in checker.poses]
     seen = looks_at_places(positions, checker.positions, len(sequence))
-    return replace(diagnosis, pose_noise=noise.result(), sampling=sampling(seen, sequence.sensor.rings))
+    return replace(
+        diagnosis, pose_noise=noise.result(), sampling=sampling(seen, sequence.sensor.rings)
+    )
 
 
 def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
-    """The likely findings of ``doctor`` on poses, frames and units, from the same few frames: at most 52.
+    """The likely findings of ``doctor`` on poses, frames and units, from the same few frames.
 
-    Takes about a second if the frames fit, since then only half of the pairs are compared. Simulated sequences, and
-    copies with implants, are not checked: reading them is slow.
-    Errors of reading are not reported: reading the whole sequence reports them.
+    At most 52.
+
+    Takes about a second if the frames fit, since then only half of the pairs are compared.
+    Simulated sequences, and copies with implants, are not checked: reading them is slow. Errors of
+    reading are not reported: reading the whole sequence reports them.
     """
     if getattr(type(base_of(sequence)), "nested", False) or len(sequence) < 2:
         return ()
@@ -111,7 +133,9 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     if not groups.checker.positions:
         return ()
     try:
-        found = list(check_columns(sequence, groups.checker.indices[0], groups.checker.positions[0]))
+        found = list(
+            check_columns(sequence, groups.checker.indices[0], groups.checker.positions[0])
+        )
         if not found and any(_check_alignment(groups, silent, quick=True)):
             found = list(_check_alignment(groups, silent))
         if not any(each.name not in KEEPS_RANGES for each in found):
@@ -123,14 +147,22 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
 
 
 def _quick_places(groups: FrameGroups) -> list[tuple[int, int]]:
-    """Positions of frames over the whole sequence, and of those that the sensor measures after about ``AWAY``."""
-    track, frames = groups.checker, len(groups.few)
+    """Positions of frames over the whole sequence, and of those that the sensor measures after
+    about ``AWAY``.
+    """
+    track = groups.checker
+    frames = len(groups.few)
     if len(track.positions) < 2:
         return []
-    ways = np.linalg.norm(np.diff(np.array(track.poses)[:, :3, 3], axis=0), axis=1) / np.diff(track.positions)
+    ways = np.linalg.norm(np.diff(np.array(track.poses)[:, :3, 3], axis=0), axis=1) / np.diff(
+        track.positions
+    )
     speed = float(np.median(ways))
     later = min(int(AWAY / speed) + 1 if speed > AWAY / frames else frames, frames - 1)
-    return [(k, k + later) for k in np.unique(np.linspace(0, frames - 1 - later, QUICK_PLACES).astype(int)).tolist()]
+    return [
+        (k, k + later)
+        for k in np.unique(np.linspace(0, frames - 1 - later, QUICK_PLACES).astype(int)).tolist()
+    ]
 
 
 def _seen(groups: FrameGroups, places: list[tuple[int, int]], progress: Progress) -> Pairs:
@@ -153,7 +185,10 @@ def _positions_to_read(frames: int) -> list[int]:
 
 
 def _read(sequence: Sequence, positions: list[int]) -> Iterator[tuple[int, Scan | DataError]]:
-    """Frames in order, reading one ahead; an unreadable frame yields its error instead of a scan."""
+    """Frames in order, reading one ahead.
+
+    An unreadable frame yields its error instead of a scan.
+    """
 
     def read(position: int) -> Scan | DataError:
         try:
@@ -181,17 +216,29 @@ def _unreadable(errors: list[DataError]) -> Iterator[Finding]:
         place = f"{first.at}: " if first.at else ""
         labels = any("label" in part for part in Path(first.path).parts[-2:])
         name = "labels do not fit" if labels else "unreadable frame"
-        yield Finding(name, Confidence.CERTAIN, f"{place}{first.problem}{also}",
-                      f"{hint or 'Write or copy the file again'}", (), len(group), first.path)  # fmt: skip
+        yield Finding(
+            name,
+            Confidence.CERTAIN,
+            f"{place}{first.problem}{also}",
+            f"{hint or 'Write or copy the file again'}",
+            (),
+            len(group),
+            first.path,
+        )
 
 
 _MISSING = (
-    "Give the sensor's poses: --poses FILE for files:PATH, or VIEWPOINT in PCD files. --poses small-gicp estimates them"
+    "Give the sensor's poses: --poses FILE for files:PATH, or VIEWPOINT in PCD files. --poses "
+    "small-gicp estimates them"
 )
-_LIDAR = "Give the pose of the lidar, not of the vehicle or the IMU, in the world frame of the points"
+_LIDAR = (
+    "Give the pose of the lidar, not of the vehicle or the IMU, in the world frame of the points"
+)
 
 
-def _check_alignment(groups: FrameGroups, progress: Progress, quick: bool = False) -> Iterator[Finding]:
+def _check_alignment(
+    groups: FrameGroups, progress: Progress, quick: bool = False
+) -> Iterator[Finding]:
     """Check whether poses and clouds match; the first explanation found is the only one reported.
 
     Args:
@@ -214,9 +261,16 @@ def _check_alignment(groups: FrameGroups, progress: Progress, quick: bool = Fals
     pairs = groups.pairs()
     views = groups.views(pairs[::2] if quick and len(pairs) == GROUPS else pairs, progress)
     others = lambda: groups.views(groups.pairs(skipped=1), progress)  # noqa: E731
-    if explained := [*(better_interpretation(views, others) if views else ()), *upright.check_up(views, checker.poses)]:
+    if explained := [
+        *(better_interpretation(views, others) if views else ()),
+        *upright.check_up(views, checker.poses),
+    ]:
         yield explained[0]
-    elif views and (same or not quick) and (problem := placement.measured_elsewhere(views, 1.5 if same else 2.0)):
+    elif (
+        views
+        and (same or not quick)
+        and (problem := placement.measured_elsewhere(views, 1.5 if same else 2.0))
+    ):
         if same:
             yield Finding("poses missing", Confidence.LIKELY, f"{same}, but {problem}", _MISSING)
         else:
@@ -224,4 +278,6 @@ def _check_alignment(groups: FrameGroups, progress: Progress, quick: bool = Fals
     elif outside := list(checker.outside_finding()):
         yield from outside
     else:
-        yield from upright.ground(views, checker.sequence.sensor.height, checker.sequence.sensor.title)
+        yield from upright.ground(
+            views, checker.sequence.sensor.height, checker.sequence.sensor.title
+        )

@@ -1,4 +1,6 @@
-"""The doctor's result: findings with confidence, evidence and fix, and the diagnosis that collects them."""
+"""The doctor's result: findings with confidence, evidence and fix, and the diagnosis that collects
+them.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,10 @@ class Finding:
 
     @property
     def option(self) -> str:
-        """The option that fixes it, such as ``--points-in world``; empty if the data must be written again."""
+        """The option that fixes it, such as ``--points-in world``.
+
+        Empty if the data must be written again.
+        """
         return _OPTIONS.get(self.name, "")
 
     @property
@@ -69,7 +74,9 @@ class Finding:
         if not self.frames:
             return "" if self.file else "all frames"
         numbers = ", ".join(map(str, self.frames))
-        more = f" and {self.count - len(self.frames):,} more" if self.count > len(self.frames) else ""
+        more = (
+            f" and {self.count - len(self.frames):,} more" if self.count > len(self.frames) else ""
+        )
         return f"frame{'s' * (self.count > 1)} {numbers}{more}"
 
 
@@ -97,7 +104,12 @@ class Diagnosis:
 
     @classmethod
     def of(
-        cls, sequence: str, frames: int, examined: int, findings: Iterable[Finding], of_poses: Iterable[Finding] = ()
+        cls,
+        sequence: str,
+        frames: int,
+        examined: int,
+        findings: Iterable[Finding],
+        of_poses: Iterable[Finding] = (),
     ) -> Diagnosis:
         """Sort findings by confidence."""
         ordered = tuple(sorted(findings, key=lambda finding: finding.confidence))
@@ -111,7 +123,8 @@ class Diagnosis:
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file."""
         rows = [
-            dataclasses.asdict(finding) | {"confidence": finding.confidence.name.lower()} for finding in self.findings
+            dataclasses.asdict(finding) | {"confidence": finding.confidence.name.lower()}
+            for finding in self.findings
         ]
         noise = self.pose_noise
         return {
@@ -119,7 +132,8 @@ class Diagnosis:
             "frames": self.frames,
             "examined": self.examined,
             "findings": rows,
-            "pose_noise": noise and {"translation_m": noise.translation_m, "rotation_deg": noise.rotation_deg},
+            "pose_noise": noise
+            and {"translation_m": noise.translation_m, "rotation_deg": noise.rotation_deg},
             "sampling": self.sampling and dataclasses.asdict(self.sampling),
         }
 
@@ -135,10 +149,15 @@ class Diagnosis:
         from rich.padding import Padding
         from rich.text import Text
 
-        styles = {Confidence.CERTAIN: "bold red", Confidence.LIKELY: "bold yellow", Confidence.PERHAPS: "bold cyan"}
+        styles = {
+            Confidence.CERTAIN: "bold red",
+            Confidence.LIKELY: "bold yellow",
+            Confidence.PERHAPS: "bold cyan",
+        }
         for number, finding in enumerate(self.findings, 1):
             head = Text.assemble(
-                (f"{finding.confidence.name.lower()}  ", styles[finding.confidence]), (finding.name, "bold")
+                (f"{finding.confidence.name.lower()}  ", styles[finding.confidence]),
+                (finding.name, "bold"),
             )
             yield Text.assemble(f"{number:>2}  ", head, (f"  {finding.where}", "dim"))
             lines = [(finding.problem, ""), (f"Fix: {addressed(finding.fix)}", "green")]
@@ -150,7 +169,9 @@ class Diagnosis:
         found = f"{count} finding{'s' * (count > 1)}" if count else "no problems found"
         yield Text(addressed(f"{self.sequence}: {found}. {self._coverage}"))
         if self.pose_noise:
-            yield Text(f"Pose noise: {self.pose_noise}, from the planes that neighbouring frames see.")
+            yield Text(
+                f"Pose noise: {self.pose_noise}, from the planes that neighbouring frames see."
+            )
         if self.sampling and self.sampling.poor:
             yield Text(str(self.sampling))
 
@@ -159,7 +180,10 @@ class Diagnosis:
         if self.examined == self.frames:
             return f"All {self.frames:,} frames were examined."
         part = f"{self.examined:,} of {self.frames:,} frames were examined"
-        return f"{part}, spread over the whole sequence; use --frames A:B to examine a part completely."
+        return (
+            f"{part}, spread over the whole sequence; use --frames A:B to examine a part "
+            "completely."
+        )
 
 
 def settable(parameter: str, value: str) -> str:

@@ -1,4 +1,7 @@
-"""The few frames of a sequence that are compared with each other: the same for the doctor and for the quick check."""
+"""The few frames of a sequence that are compared with each other.
+
+The same for the doctor and for the quick check.
+"""
 
 from __future__ import annotations
 
@@ -34,12 +37,16 @@ class FewPoints(SequenceView):
             step = -(-len(scan) // POINTS) or 1
             origins = scan.origins if len(scan.origins) == 1 else scan.origins[::step]
             times = None if scan.times is None else scan.times[::step]
-            self.kept[position] = replace(scan, points=scan.points[::step], origins=origins, times=times)
+            self.kept[position] = replace(
+                scan, points=scan.points[::step], origins=origins, times=times
+            )
         return self.kept[position]
 
 
 class FrameGroups:
-    """Groups of frames of a sequence. In each, the sensor moves 1 m or turns 5 degrees, if it does within 40 frames.
+    """Groups of frames of a sequence.
+
+    In each, the sensor moves 1 m or turns 5 degrees, if it does within 40 frames.
 
     Args:
         sequence: at most 42 of its frames are read; those that cannot be read are left out.
@@ -69,7 +76,9 @@ class FrameGroups:
             group.append(start + step)
             way = np.linalg.norm((scan.T_world_sensor - self.few[group[0]].T_world_sensor)[:3, 3])
             long = way > LONG_STEPS * (group[-1] - group[0])
-            if apart(self.few[group[0]].T_world_sensor, scan.T_world_sensor) and (not long or step >= UNIT_STEPS):
+            if apart(self.few[group[0]].T_world_sensor, scan.T_world_sensor) and (
+                not long or step >= UNIT_STEPS
+            ):
                 break
         self._groups.append(group)
         return group
@@ -82,18 +91,28 @@ class FrameGroups:
             return None
 
     def pairs(self, skipped: int = 0) -> Rows:
-        """The first and the last frame of each group, or instead of the first the one after it; rows of ``checker``."""
-        rows = [[row for p in group if self.checker.usable[row := self._row[p]]][skipped:] for group in self._groups]
+        """The first and the last frame of each group, or instead of the first the one after it.
+
+        Rows of ``checker``.
+        """
+        rows = [
+            [row for p in group if self.checker.usable[row := self._row[p]]][skipped:]
+            for group in self._groups
+        ]
         return sorted({(each[0], each[-1]) for each in rows if len(each) > 1})
 
     def pairs_apart(self, most: int) -> Rows:
-        """The first frame of each group, and its last one at most so many frames later; rows of ``checker``."""
+        """The first frame of each group, and its last one at most so many frames later.
+
+        Rows of ``checker``.
+        """
         near = [[p for p in group if p <= group[0] + most] for group in self._groups if group]
         return sorted({(self._row[each[0]], self._row[each[-1]]) for each in near if len(each) > 1})
 
     def views(self, rows: Rows, progress: Progress) -> list[tuple[ScanView, ScanView]]:
         """Pairs of scans for comparison; those with too few points are left out."""
-        views, checker = [], self.checker
+        views = []
+        checker = self.checker
         track = checker.positions, checker.poses, checker.stamps
         for done, pair in enumerate(rows, 1):
             a, b = (ScanView(checker.read(row), around(row, *track)) for row in pair)

@@ -1,4 +1,6 @@
-"""Check positions: clouds that move although the poses are equal, and clouds that were measured elsewhere."""
+"""Check positions: clouds that move although the poses are equal, and clouds that were measured
+elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +13,39 @@ from dynaviz.diagnosis.views import ScanView, Surface, hidden
 from dynaviz.spatial import geometry
 
 FEW = 8_000  # points by which candidates are ranked
-SHRINKS, SETTLED = 12, 1e-4  # steps of registration whose distance limit shrinks; metres and radians of the last one
+# steps of registration whose distance limit shrinks; metres and radians of the last one
+SHRINKS = 12
+SETTLED = 1e-4
 
 
 def moving_clouds(views: Pairs) -> tuple[str, Confidence] | None:
-    """A sentence and confidence if clouds move although the poses are identical; None if they do not move."""
-    gains, shifts = [], []
+    """A sentence and confidence if clouds move although the poses are identical.
+
+    None if they do not move.
+    """
+    gains = []
+    shifts = []
     for a, b in views:
         T = register(a.surface, b.points)
         gains.append(a.surface.overlap(geometry.apply(T, b.points)) - a.surface.overlap(b.points))
         shifts.append(float(np.linalg.norm((T @ a.T - a.T)[:3, 3])))
-    if not views or (moved := float(np.median(shifts))) < 0.05 or (gain := float(np.median(gains))) < 0.03:
+    if (
+        not views
+        or (moved := float(np.median(shifts))) < 0.05
+        or (gain := float(np.median(gains))) < 0.03
+    ):
         return None
-    problem = f"the clouds move by {moved:.2f} m between scans; aligning them adds {gain:.0%} to their overlap"
+    problem = (
+        f"the clouds move by {moved:.2f} m between scans; aligning them adds {gain:.0%} to their "
+        "overlap"
+    )
     return problem, Confidence.CERTAIN if gain > CLEAR_GAIN else Confidence.LIKELY
 
 
 def measured_elsewhere(views: Pairs, times: float) -> str | None:
-    """A sentence if clouds hide many points from the given position but far fewer from another one; None otherwise.
+    """A sentence if clouds hide many points from the given position but far fewer from another one.
+
+    None otherwise.
 
     The view from another height differs in any case, so a raised position needs stronger evidence.
     """
@@ -45,8 +62,10 @@ def measured_elsewhere(views: Pairs, times: float) -> str | None:
         less, distances = np.array(best).T
         if hides_less(less, given, factor, share):
             return (
-                f"the clouds appear to be measured up to {distances.max():.0f} m away from the given positions: "
-                f"from there they hide {less.mean():.1%} of their points, from the given positions {given.mean():.1%}"
+                f"the clouds appear to be measured up to {distances.max():.0f} m away from the "
+                "given positions: "
+                f"from there they hide {less.mean():.1%} of their points, from the given positions "
+                f"{given.mean():.1%}"
             )
     return None
 
@@ -56,18 +75,27 @@ def _as_given(T: F64) -> F64:
 
 
 def _candidate_positions(view: ScanView, raised: bool) -> F64:
-    """(K, 3) metres: positions around the given one and the cloud's median; raised: 1.5 m above the ground."""
-    given, middle = view.T[:3, 3].copy(), np.median(view.sample, axis=0)
+    """(K, 3) metres: positions around the given one and the cloud's median; raised.
+
+    1.5 m above the ground.
+    """
+    given = view.T[:3, 3].copy()
+    middle = np.median(view.sample, axis=0)
     middle[2] = given[2]
     if raised:
         middle[2] = given[2] = np.percentile(view.sample[:, 2], 5) + 1.5
     azimuth = np.arange(8) * np.pi / 4
     ring = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(8)], 1)
-    return np.concatenate([[middle], *(c + r * ring for c in (given, middle) for r in (1.5, 3.0, 6.0, 12.0))])
+    return np.concatenate(
+        [[middle], *(c + r * ring for c in (given, middle) for r in (1.5, 3.0, 6.0, 12.0))]
+    )
 
 
 def register(surface: Surface, points: F64) -> F64:
-    """T_a_b that aligns points with surfaces: point-to-plane ICP with a shrinking distance limit."""
+    """T_a_b that aligns points with surfaces.
+
+    Point-to-plane ICP with a shrinking distance limit.
+    """
     from scipy.spatial.transform import Rotation
 
     T = np.eye(4)

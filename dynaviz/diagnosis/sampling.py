@@ -1,4 +1,5 @@
-"""Whether a sequence has enough scans and rings for each method, by what methods found on thinned real drives.
+"""Whether a sequence has enough scans and rings for each method, by what methods found on thinned
+real drives.
 
 ``benchmarks/sampling.py`` writes ``sampling.json``: rows of method, drive, looks, rings, SA and DA.
 """
@@ -28,7 +29,8 @@ class Sampling:
     Attributes:
         looks: number of scans that see a place.
         rings: of the sensor; None if unknown.
-        kept: by method, the share of its DA in dense data that it keeps on real drives with as few looks and rings.
+        kept: by method, the share of its DA in dense data that it keeps on real drives with as few
+            looks and rings.
     """
 
     looks: int
@@ -38,7 +40,11 @@ class Sampling:
     @property
     def poor(self) -> dict[str, float]:
         """The methods that keep less than ``ENOUGH``, worst first."""
-        return {name: share for name, share in sorted(self.kept.items(), key=lambda each: each[1]) if share < ENOUGH}
+        return {
+            name: share
+            for name, share in sorted(self.kept.items(), key=lambda each: each[1])
+            if share < ENOUGH
+        }
 
     def __str__(self) -> str:
         rings = f", with {self.rings} rings" if self.rings else ""
@@ -47,11 +53,18 @@ class Sampling:
             return f"{text} That is enough for every method."
         losses = ", ".join(f"{name} ({share:.0%})" for name, share in self.poor.items())
         left = ", ".join(name for name in self.kept if name not in self.poor) or "no method"
-        return f"{text} On real drives with as few, these keep less than half of their DA: {losses}. Enough for {left}."
+        return (
+            f"{text} On real drives with as few, these keep less than half of their DA: {losses}. "
+            f"Enough for {left}."
+        )
 
 
-def looks(positions: Iterable[F64], numbers: Sequence[int] | None = None, frames: int | None = None) -> int:
-    """Number of scans that see a place: of those within ``NEAR`` of it on the way, at the mean speed.
+def looks(
+    positions: Iterable[F64], numbers: Sequence[int] | None = None, frames: int | None = None
+) -> int:
+    """Number of scans that see a place.
+
+    Of those within ``NEAR`` of it on the way, at the mean speed.
 
     Args:
         positions: (3,) metres, world frame, of scans.
@@ -73,7 +86,9 @@ def sampling(seen: int, rings: int | None) -> Sampling:
 
 
 def _kept(method: str, seen: int, rings: int | None) -> float:
-    """The share of its DA that a method keeps, as mean over drives, interpolated over the logarithm of each axis."""
+    """The share of its DA that a method keeps, as mean over drives, interpolated over the logarithm
+    of each axis.
+    """
     rows = [row for row in _rows() if row["method"] == method]
     shares = []
     for drive in {row["drive"] for row in rows}:

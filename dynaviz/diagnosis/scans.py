@@ -1,4 +1,7 @@
-"""Checks of single scans and of consecutive scans. Frames are streamed; only a few numbers of each scan are kept."""
+"""Checks of single scans and of consecutive scans. Frames are streamed.
+
+Only a few numbers of each scan are kept.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,9 @@ from dynaviz.contracts.scan import HasScanFiles, HasUnmatchedPoints, Label, Scan
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
 from dynaviz.spatial import geometry
 
-HOUSING = 0.05  # metres; a nearer point is a ray without return, written at the sensor's own position
+HOUSING = (
+    0.05  # metres; a nearer point is a ray without return, written at the sensor's own position
+)
 NEAR = 0.5  # metres; an object at this range blocks everything behind it
 COLUMNS = 360  # azimuth bins
 COMPARED = 8192  # points by which two scans are compared
@@ -31,7 +36,8 @@ class ScanStatistics:
     """
 
     def __init__(self, scan: Scan, before: Scan | None) -> None:
-        self.scan, self.before = scan, before
+        self.scan = scan
+        self.before = before
 
     def __len__(self) -> int:
         return len(self.scan)
@@ -66,11 +72,18 @@ class ScanStatistics:
 
     @cached_property
     def box(self) -> tuple[F64, F64]:
-        """Low and high corner, (3,) float64, metres, of all finite points; zeros if there are none."""
-        kept = self.columns if self.finite.all() else [column[self.finite] for column in self.columns]
+        """Low and high corner, (3,) float64, metres, of all finite points.
+
+        Zeros if there are none.
+        """
+        kept = (
+            self.columns if self.finite.all() else [column[self.finite] for column in self.columns]
+        )
         if not len(kept[0]):
             return np.zeros(3), np.zeros(3)
-        return np.array([x.min() for x in kept], np.float64), np.array([x.max() for x in kept], np.float64)
+        return np.array([x.min() for x in kept], np.float64), np.array(
+            [x.max() for x in kept], np.float64
+        )
 
 
 def empty(stats: ScanStatistics) -> float:
@@ -85,11 +98,15 @@ def not_finite(stats: ScanStatistics) -> float:
 
 def far(stats: ScanStatistics) -> float:
     """Largest absolute coordinate of finite points and ray origins, kilometres."""
-    return max(float(np.abs(part).max(initial=0)) for part in (*stats.box, stats.scan.origins)) / 1000
+    return (
+        max(float(np.abs(part).max(initial=0)) for part in (*stats.box, stats.scan.origins)) / 1000
+    )
 
 
 def no_return(stats: ScanStatistics) -> float:
-    """Number of points at exactly (0, 0, 0) if more than a dozen, else of points at their ray's origin."""
+    """Number of points at exactly (0, 0, 0) if more than a dozen, else of points at their ray's
+    origin.
+    """
     return float((stats.zero if stats.zero.sum() > 12 else stats.ranges < HOUSING).sum())
 
 
@@ -104,33 +121,51 @@ def ego(stats: ScanStatistics) -> float:
 
 
 def duplicates(stats: ScanStatistics) -> float:
-    """Share of points with the coordinates of another point, without counting rays without return."""
+    """Share of points with the coordinates of another point, without counting rays
+    without return.
+    """
     x, y, z = (column.view(np.uint32).astype(np.uint64) for column in stats.columns)
     with np.errstate(over="ignore"):
-        key = x * np.uint64(0x9E3779B97F4A7C15) + y * np.uint64(0xC2B2AE3D27D4EB4F) + z * np.uint64(0x165667B19E3779F9)
+        key = (
+            x * np.uint64(0x9E3779B97F4A7C15)
+            + y * np.uint64(0xC2B2AE3D27D4EB4F)
+            + z * np.uint64(0x165667B19E3779F9)
+        )
     key = np.sort(key[stats.finite & ~stats.zero & (stats.ranges >= HOUSING)])
     return _share(key[1:] == key[:-1])
 
 
 def repeated(stats: ScanStatistics) -> float:
     """1 if the scan equals the previous one, in the world frame or in the sensor frame; else 0."""
-    scan, before = stats.scan, stats.before
+    scan = stats.scan
+    before = stats.before
     if before is None or len(scan) != len(before) or not stats.finite.any():
         return 0.0
     sample = slice(None, None, max(len(scan) // COMPARED, 1))
     if np.array_equal(scan.points[sample], before.points[sample], equal_nan=True):
         return 1.0
     with np.errstate(invalid="ignore"):
-        a, b = (geometry.apply(geometry.inverse(s.T_world_sensor), s.points[sample]) for s in (scan, before))
+        a, b = (
+            geometry.apply(geometry.inverse(s.T_world_sensor), s.points[sample])
+            for s in (scan, before)
+        )
     rounding = 1e-6 * max(float(np.abs(corner).max()) for corner in stats.box)
     return float(np.allclose(a, b, rtol=0, atol=1e-3 + rounding, equal_nan=True))
 
 
 def outside(stats: ScanStatistics) -> float:
-    """Distance from the sensor to the bounding box of its points, metres; 0 if small for a cloud of this size."""
-    (low, high), position = stats.box, stats.scan.position
+    """Distance from the sensor to the bounding box of its points, metres.
+
+    0 if small for a cloud of this size.
+    """
+    (low, high) = stats.box
+    position = stats.scan.position
     gap = float(np.linalg.norm(np.maximum(0, np.maximum(low - position, position - high))))
-    return gap if stats.finite.any() and gap > max(10.0, 0.1 * float(np.linalg.norm(high - low))) else 0.0
+    return (
+        gap
+        if stats.finite.any() and gap > max(10.0, 0.1 * float(np.linalg.norm(high - low)))
+        else 0.0
+    )
 
 
 def _share(hits: Bool) -> float:
@@ -148,7 +183,8 @@ class Check:
         confidence: confidence in the finding.
         problem: a sentence; ``{worst}`` is replaced by the largest figure.
         fix: a sentence; ``{near}`` is replaced by the option that makes methods ignore near points.
-        least: share of all frames in which it must be found: what belongs to the sensor is always there.
+        least: share of all frames in which it must be found: what belongs to the sensor is always
+            there.
     """
 
     name: str
@@ -163,24 +199,33 @@ class Check:
 CHECKS = (
     Check("empty frame", empty, 0, Confidence.CERTAIN, "the scan contains no finite point",
           "Skip such frames with --frames A:B, or remove their files and poses"),
-    Check("not finite", not_finite, 0, Confidence.CERTAIN, "up to {worst:.2%} of a scan's points are NaN or infinite",
+    Check("not finite", not_finite, 0, Confidence.CERTAIN, "up to {worst:.2%} of a scan's points "
+    "are NaN or infinite",
           f"{_DROP}. Methods keep them all, so they only cost time and accuracy"),
     Check("far points", far, FAR / 1000, Confidence.CERTAIN,
-          "a point or sensor position is {worst:,.0f} km from the world's origin, where float32 is too coarse",
-          "Move the world's origin to the first pose (subtract its position from poses and points), or remove them"),
+          "a point or sensor position is {worst:,.0f} km from the world's origin, where float32 is "
+          "too coarse",
+          "Move the world's origin to the first pose (subtract its position from poses and "
+          "points), or remove them"),
     Check("no return", no_return, 0, Confidence.CERTAIN,
-          "up to {worst:,.0f} points of a scan are at the sensor itself or at exactly (0, 0, 0): rays without return, "
+          "up to {worst:,.0f} points of a scan are at the sensor itself or at exactly (0, 0, 0): "
+          "rays without return, "
           "which block every other ray that starts there",
-          f"Nothing for runs: they leave these points unjudged. For other programs: {_DROP[0].lower()}{_DROP[1:]}"),
+          "Nothing for runs: they leave these points unjudged. For other programs: "
+          f"{_DROP[0].lower()}{_DROP[1:]}"),
     Check("ego points", ego, 0.01, Confidence.CERTAIN,
           f"in up to {{worst:.0%}} of all directions something nearer than {NEAR} m, "
           "such as the sensor's carrier, blocks the rays",
-          f"Let methods ignore near points: {{near}}. For other methods, {_DROP[0].lower()}{_DROP[1:]}", 0.3),
+          "Let methods ignore near points: {near}. For other methods, "
+          f"{_DROP[0].lower()}{_DROP[1:]}", 0.3),
     Check("duplicate points", duplicates, 0.001, Confidence.CERTAIN,
-          "up to {worst:.1%} of a scan's points have the coordinates of another point and count twice in all scores",
+          "up to {worst:.1%} of a scan's points have the coordinates of another point and count "
+          "twice in all scores",
           "Write each return once. After merging lidars or clouds, remove repeated rows"),
-    Check("duplicate frame", repeated, 0, Confidence.CERTAIN, "the scan is identical to the previous one",
-          "Remove one of the two and its pose. In a bag, choose the original topic, not a republished one"),
+    Check("duplicate frame", repeated, 0, Confidence.CERTAIN, "the scan is identical to the "
+    "previous one",
+          "Remove one of the two and its pose. In a bag, choose the original topic, not a "
+          "republished one"),
 )  # fmt: skip
 
 
@@ -207,11 +252,13 @@ class Occurrences:
 
 
 class ScanChecker:
-    """Checks one scan after another; keeps the pose, number and stamp of each, and the occurrences of each finding.
+    """Checks one scan after another.
+
+    Keeps the pose, number and stamp of each, and the occurrences of each finding.
 
     Attributes:
-        positions, indices, stamps, poses: of each checked frame: position in the sequence, number, time in nanoseconds
-            (None if absent), and T_world_sensor.
+        positions, indices, stamps, poses: of each checked frame: position in the sequence, number,
+            time in nanoseconds (None if absent), and T_world_sensor.
         usable: whether each frame has finite points, none too far from the world's origin.
     """
 
@@ -270,15 +317,27 @@ class ScanChecker:
         yield from self._order_findings()
 
     def outside_finding(self) -> Iterator[Finding]:
-        """A finding if most sensor positions are outside their own clouds; for use if nothing else explains it."""
+        """A finding if most sensor positions are outside their own clouds.
+
+        For use if nothing else explains it.
+        """
         if self._outside.count > len(self.positions) / 2:
-            problem = f"the sensor's position is up to {self._outside.worst:,.0f} m outside its own cloud"
-            fix = "Give poses and points in the same world frame, positions in metres; 'dynaviz info' shows the extent"
+            problem = (
+                f"the sensor's position is up to {self._outside.worst:,.0f} m outside its own cloud"
+            )
+            fix = (
+                "Give poses and points in the same world frame, positions in metres; 'dynaviz "
+                "info' shows the extent"
+            )
             yield Finding("origin outside", Confidence.LIKELY, problem, fix)
 
-    def _finding(self, name: str, confidence: Confidence, problem: str, fix: str, occurrences: Occurrences) -> Finding:
+    def _finding(
+        self, name: str, confidence: Confidence, problem: str, fix: str, occurrences: Occurrences
+    ) -> Finding:
         file = file_of(self.sequence, occurrences.frames[0])
-        return Finding(name, confidence, problem, fix, tuple(occurrences.frames), occurrences.count, file)
+        return Finding(
+            name, confidence, problem, fix, tuple(occurrences.frames), occurrences.count, file
+        )
 
     def _label_findings(self) -> Iterator[Finding]:
         known = int(self._label_counts[Label.STATIC] + self._label_counts[Label.DYNAMIC])
@@ -289,8 +348,13 @@ class ScanChecker:
             fix = "Give the labels of these scans; without labels, runs have no scores"
             yield Finding("all unlabelled", Confidence.CERTAIN, problem, fix)
         elif not self._label_counts[Label.DYNAMIC]:
-            problem = f"none of the {known:,} labelled points is dynamic, so DA, AA and HA are undefined"
-            fix = "Give labels that mark moving objects, or choose frames in which something moves (--frames A:B)"
+            problem = (
+                f"none of the {known:,} labelled points is dynamic, so DA, AA and HA are undefined"
+            )
+            fix = (
+                "Give labels that mark moving objects, or choose frames in which something moves "
+                "(--frames A:B)"
+            )
             yield Finding("no dynamic label", Confidence.CERTAIN, problem, fix)
         unmatched = _unmatched_points(self.sequence)
         lost = {index: unmatched[index] for index in self.indices if unmatched.get(index)}
@@ -298,7 +362,10 @@ class ScanChecker:
             occurrences = Occurrences()
             for index in sorted(lost):
                 occurrences.add(index)
-            problem = f"{sum(lost.values()):,} points are missing from the labelled cloud and are not scored"
+            problem = (
+                f"{sum(lost.values()):,} points are missing from the labelled cloud and are not "
+                "scored"
+            )
             fix = "Write gt_cloud.pcd again, with all points of all scans in order"
             yield self._finding("labels do not fit", Confidence.CERTAIN, problem, fix, occurrences)
 
@@ -309,17 +376,27 @@ class ScanChecker:
             return
         step = np.diff(self.indices).astype(np.float64)
         usual = float(np.median(step[follows]))
-        gaps, back, pauses = Occurrences(), Occurrences(), Occurrences()
-        regular = usual > 0 and np.mean(step[follows] == usual) > 0.5  # otherwise the numbers are not frame counts
-        ticks = np.where(follows & (step > usual), step / usual, 1.0) if regular else np.ones(len(step))
+        gaps = Occurrences()
+        back = Occurrences()
+        pauses = Occurrences()
+        # otherwise the numbers are not frame counts
+        regular = usual > 0 and np.mean(step[follows] == usual) > 0.5
+        ticks = (
+            np.where(follows & (step > usual), step / usual, 1.0) if regular else np.ones(len(step))
+        )
         missing = 0
         for k in np.flatnonzero(ticks > 1.0):
             gaps.add(self.indices[k + 1])
             missing += round(ticks[k]) - 1
         if gaps.count:
             numbers = "number is" if missing == 1 else "numbers are"
-            problem = f"{missing:,} {numbers} missing before these frames: scans were lost or left out"
-            fix = "Add the scans with their poses. If they are lost, clean the parts separately with --frames A:B"
+            problem = (
+                f"{missing:,} {numbers} missing before these frames: scans were lost or left out"
+            )
+            fix = (
+                "Add the scans with their poses. If they are lost, clean the parts separately with "
+                "--frames A:B"
+            )
             yield self._finding("gap in numbers", Confidence.CERTAIN, problem, fix, gaps)
         if any(stamp is None for stamp in self.stamps):
             return
@@ -333,11 +410,15 @@ class ScanChecker:
         if back.count:
             problem = f"stamps repeat or decrease (by up to {back.worst:.3f} s) at these frames"
             fix = (
-                "Sort the scans by time and give each its own stamp. Methods process them in the order of their numbers"
+                "Sort the scans by time and give each its own stamp. Methods process them in the "
+                "order of their numbers"
             )
             yield self._finding("time goes back", Confidence.CERTAIN, problem, fix, back)
         if pauses.count:
-            problem = f"up to {pauses.worst:.2f} s pass before these frames instead of {usual:.2f} s: scans are missing"
+            problem = (
+                f"up to {pauses.worst:.2f} s pass before these frames instead of {usual:.2f} s: "
+                "scans are missing"
+            )
             fix = "Add the scans. If they are lost, clean the parts separately with --frames A:B"
             yield self._finding("gap in time", Confidence.CERTAIN, problem, fix, pauses)
 

@@ -55,11 +55,22 @@ class PoseFault:
 
 
 _INVERT = "Invert each pose, numpy.linalg.inv(T), to give the sensor's position in the world"
-_CAMERA = ("Convert each pose on both sides: T_lidar_cam @ T @ T_cam_lidar, with the calibration of camera and lidar. "
+_CAMERA = ("Convert each pose on both sides: T_lidar_cam @ T @ T_cam_lidar, with the calibration "
+"of camera and lidar. "
            "KITTI's layout with calib.txt (semantickitti:PATH) does this")  # fmt: skip
-_CAMERA_AXES = "Multiply each pose by the calibration on the right only: T_world_lidar = T_world_cam @ T_cam_lidar"
-INVERTED = PoseFault("poses inverted", "poses are T_sensor_world, not T_world_sensor", _INVERT, geometry.inverse)
-CAMERA = PoseFault("poses of a camera", "poses are a camera's (z forward, y down), not the lidar's", _CAMERA, camera)
+_CAMERA_AXES = (
+    "Multiply each pose by the calibration on the right only: T_world_lidar = T_world_cam @ "
+    "T_cam_lidar"
+)
+INVERTED = PoseFault(
+    "poses inverted", "poses are T_sensor_world, not T_world_sensor", _INVERT, geometry.inverse
+)
+CAMERA = PoseFault(
+    "poses of a camera",
+    "poses are a camera's (z forward, y down), not the lidar's",
+    _CAMERA,
+    camera,
+)
 CAMERA_AXES = PoseFault(
     "poses of a camera",
     "poses have the axes of a camera (z forward, y down)",
@@ -68,7 +79,9 @@ CAMERA_AXES = PoseFault(
 )
 
 
-def _order(order: tuple[int, ...], problem: str = "the components of quaternions are in another order") -> PoseFault:
+def _order(
+    order: tuple[int, ...], problem: str = "the components of quaternions are in another order"
+) -> PoseFault:
     """Quaternions of which the components w x y z were read at these positions of w x y z."""
     held = ["q" + "wxyz"[order.index(k)] for k in range(4)]
     fix = (
@@ -80,11 +93,15 @@ def _order(order: tuple[int, ...], problem: str = "the components of quaternions
 
 W_LAST = _order((3, 0, 1, 2), "quaternions were written as x y z w, but read as w x y z")
 W_FIRST = _order((1, 2, 3, 0), "quaternions were written as w x y z, but read as x y z w")
-_OTHERS = map(_order, sorted({*permutations(range(4))} - {(0, 1, 2, 3), (3, 0, 1, 2), (1, 2, 3, 0)}))
+_OTHERS = map(
+    _order, sorted({*permutations(range(4))} - {(0, 1, 2, 3), (3, 0, 1, 2), (1, 2, 3, 0)})
+)
 FAULTS = (INVERTED, CAMERA, CAMERA_AXES, W_LAST, W_FIRST, *_OTHERS)
 
 
-def jumps(positions: Sequence[int], indices: Sequence[int], poses: Sequence[F64]) -> Iterator[Finding]:
+def jumps(
+    positions: Sequence[int], indices: Sequence[int], poses: Sequence[F64]
+) -> Iterator[Finding]:
     """Find steps and turns that are much larger than their neighbours."""
     T = np.array(poses)
     between = geometry.compose(geometry.inverse(T[:-1]), T[1:])
@@ -97,16 +114,23 @@ def jumps(positions: Sequence[int], indices: Sequence[int], poses: Sequence[F64]
         near = [n for n in range(max(k - 5, 0), min(k + 6, len(steps))) if n != k and follows[n]]
         if len(near) < 2:
             continue
-        step, turn = np.median(steps[near]), np.median(turns[near])
+        step = np.median(steps[near])
+        turn = np.median(turns[near])
         if steps[k] > 3 * step + 0.5 or turns[k] > 3 * turn + 8:
             jumped.append((k, step, turn))
     if jumped:
-        k, step, turn = max(jumped, key=lambda b: (steps[b[0]] > 3 * b[1] + 0.5, steps[b[0]], turns[b[0]]))
+        k, step, turn = max(
+            jumped, key=lambda b: (steps[b[0]] > 3 * b[1] + 0.5, steps[b[0]], turns[b[0]])
+        )
         problem = (
-            f"the pose jumps by {steps[k]:.1f} m and {turns[k]:.0f} degrees at frame {indices[k + 1]}; "
+            f"the pose jumps by {steps[k]:.1f} m and {turns[k]:.0f} degrees at frame "
+            f"{indices[k + 1]}; "
             f"the median of nearby steps is {step:.2f} m and {turn:.1f} degrees"
         )
-        fix = "Fix the trajectory there, or clean the parts before and after it separately with --frames A:B"
+        fix = (
+            "Fix the trajectory there, or clean the parts before and after it separately with "
+            "--frames A:B"
+        )
         frames = tuple(indices[b[0] + 1] for b in jumped)
         yield Finding("poses jump", Confidence.LIKELY, problem, fix, frames[:SHOWN], len(frames))
 
@@ -116,20 +140,30 @@ def identical(poses: Sequence[F64]) -> str | None:
     if not all(np.allclose(pose, poses[0], atol=1e-6) for pose in poses):
         return None
     return (
-        "all poses are zero (the identity)" if np.allclose(poses[0], np.eye(4), atol=1e-6) else "all poses are the same"
+        "all poses are zero (the identity)"
+        if np.allclose(poses[0], np.eye(4), atol=1e-6)
+        else "all poses are the same"
     )
 
 
 def backwards(T: F64) -> str | None:
-    """Evidence for a sensor that faces backwards and tilts as it turns: x y z w read as w x y z; None if absent."""
+    """Evidence for a sensor that faces backwards and tilts as it turns: x y z w read as w x y z.
+
+    None if absent.
+    """
     corrected = np.array([W_LAST.correct(pose) for pose in T])
     if facing(T) < -0.9 and facing(corrected) > 0.9 and tilt_of(T, 90) > tilt_of(corrected, 90) + 3:
-        return f"the sensor faces backwards and tilts as it turns, by up to {tilt_of(T, 90):.0f} degrees"
+        return (
+            f"the sensor faces backwards and tilts as it turns, by up to {tilt_of(T, 90):.0f} "
+            "degrees"
+        )
     return None
 
 
 def tilt_of(T: F64, percent: float = 50) -> float:
-    """Percentile over all poses of the angle between the sensor's z axis and the world's, degrees."""
+    """Percentile over all poses of the angle between the sensor's z axis and the
+    world's, degrees.
+    """
     return float(np.percentile(np.degrees(np.arccos(np.clip(T[:, 2, 2], -1, 1))), percent))
 
 

@@ -56,8 +56,11 @@ HYPOTHESES: tuple[tuple[str, str, Convert], ...] = (
 )
 
 
-def check_units(read: Read, rows: Sequence[int], positions: Sequence[int], poses: Sequence[F64]) -> Finding | None:
-    """A finding if scans are too far or steps too long for metres, and fit together in another unit.
+def check_units(
+    read: Read, rows: Sequence[int], positions: Sequence[int], poses: Sequence[F64]
+) -> Finding | None:
+    """A finding if scans are too far or steps too long for metres, and fit together in another
+    unit.
 
     Args:
         read: reads the scan of a row.
@@ -67,13 +70,16 @@ def check_units(read: Read, rows: Sequence[int], positions: Sequence[int], poses
     if not rows:
         return None
     shown = [read(rows[k]) for k in np.unique(np.linspace(0, len(rows) - 1, 3).astype(int))]
-    reach, step = float(np.median([_reach(scan.points, scan.position) for scan in shown])), _step(positions, poses)
+    reach = float(np.median([_reach(scan.points, scan.position) for scan in shown]))
+    step = _step(positions, poses)
     if reach < FAR_POINTS and step < LONG_STEPS:
         return None
     found = []
     for unit, factor in FACTORS.items():
         for what, words, convert in HYPOTHESES:
-            if (step if what == "positions" else reach) < (LONG_STEPS if what == "positions" else FAR_POINTS):
+            if (step if what == "positions" else reach) < (
+                LONG_STEPS if what == "positions" else FAR_POINTS
+            ):
                 continue
             pair = _overlap(read, rows, positions, poses, convert, factor)
             if pair is not None and pair[0] > MIN_OVERLAP:
@@ -88,10 +94,17 @@ def check_units(read: Read, rows: Sequence[int], positions: Sequence[int], poses
     if overlap < given[0] + 0.06 and reach < FAR_POINTS:
         return None
     problem = (
-        f"{words} are in {unit}, not in metres: the median range is {reach:,.0f}, the way between frames {step:,.1f}. "
-        f"Divided by {factor:.0f}, {overlap:.0%} of a scan overlaps the other, instead of {given[0]:.0%}"
+        f"{words} are in {unit}, not in metres: the median range is {reach:,.0f}, the way between "
+        f"frames {step:,.1f}. "
+        f"Divided by {factor:.0f}, {overlap:.0%} of a scan overlaps the other, instead of "
+        f"{given[0]:.0%}"
     )
-    return Finding(unit, Confidence.CERTAIN, problem, f"Write metres: {_DIVIDE.format(what=what, factor=factor)}")
+    return Finding(
+        unit,
+        Confidence.CERTAIN,
+        problem,
+        f"Write metres: {_DIVIDE.format(what=what, factor=factor)}",
+    )
 
 
 def _reach(points: Points, position: F64) -> float:
@@ -122,7 +135,10 @@ def _overlap(
     factor: float,
     check: bool = True,
 ) -> tuple[float, float] | None:
-    """Mean overlap and share of hidden points of three pairs in another unit; None if sizes are then not usual."""
+    """Mean overlap and share of hidden points of three pairs in another unit.
+
+    None if sizes are then not usual.
+    """
     moved = []
     for pose in poses:
         T = pose.copy()
@@ -137,7 +153,9 @@ def _overlap(
         for row in chosen:
             scan = read(row)
             points, position = convert(scan, factor)
-            if check and not (USUAL[0] < _reach(points, position) < USUAL[1] and USUAL[0] < _extent(points)):
+            if check and not (
+                USUAL[0] < _reach(points, position) < USUAL[1] and USUAL[0] < _extent(points)
+            ):
                 break
             T = scan.T_world_sensor.copy()
             T[:3, 3] = position

@@ -1,4 +1,7 @@
-"""Check which way is up: the ground below the sensor, and sensors or worlds that lie on their side."""
+"""Check which way is up.
+
+The ground below the sensor, and sensors or worlds that lie on their side.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,12 @@ AXES = {"y": (0, 1, 0), "-y": (0, -1, 0), "x": (1, 0, 0), "-x": (-1, 0, 0), "-z"
 
 
 def check_up(views: Pairs, poses: Sequence[F64]) -> Iterator[Finding]:
-    """Find worlds whose up is not z, and sensors that lie on their side, drive straight up or face backwards."""
+    """Find worlds whose up is not z, and sensors that lie on their side, drive straight up or face
+    backwards.
+    """
     T = np.array(poses)
-    tilt, scans = tilt_of(T), [b for _, b in views]
+    tilt = tilt_of(T)
+    scans = [b for _, b in views]
     if found := _other_up(scans, tilt):
         yield found
         return
@@ -30,7 +36,10 @@ def check_up(views: Pairs, poses: Sequence[F64]) -> Iterator[Finding]:
         return
     extent = np.ptp(T[:, :3, 3], axis=0)
     if extent[2] > 2.0 and extent[2] > 2 * np.hypot(*extent[:2]):
-        evidence = f"the sensor climbs {extent[2]:.1f} m while it moves {np.hypot(*extent[:2]):.1f} m horizontally"
+        evidence = (
+            f"the sensor climbs {extent[2]:.1f} m while it moves {np.hypot(*extent[:2]):.1f} m "
+            "horizontally"
+        )
         yield Finding(CAMERA.name, Confidence.PERHAPS, f"{CAMERA.problem}: {evidence}", CAMERA.fix)
         return
     if turned := backwards(T):
@@ -38,20 +47,31 @@ def check_up(views: Pairs, poses: Sequence[F64]) -> Iterator[Finding]:
 
 
 def _other_up(scans: Sequence[ScanView], tilt: float) -> Finding | None:
-    """A finding if the ground is flat along another axis of the world than z, and the vertical field of view narrower.
+    """A finding if the ground is flat along another axis of the world than z, and the vertical
+    field of view narrower.
 
-    The sensor's z axis points along that axis, or along the world's z if both have other axes, as in a camera's frame.
+    The sensor's z axis points along that axis, or along the world's z if both have other axes, as
+    in a camera's frame.
     """
     if not scans:
         return None
-    z, axes = np.array([0.0, 0.0, 1.0]), {name: np.array(up, np.float64) for name, up in AXES.items()}
-    flat = {name: float(np.mean([ground_below(s, up)[1] for s in scans])) for name, up in axes.items()}
+    z = np.array([0.0, 0.0, 1.0])
+    axes = {name: np.array(up, np.float64) for name, up in AXES.items()}
+    flat = {
+        name: float(np.mean([ground_below(s, up)[1] for s in scans])) for name, up in axes.items()
+    }
     given = float(np.mean([ground_below(s, z)[1] for s in scans]))
     along = {name: float(np.median([s.T[:3, 2] @ up for s in scans])) for name, up in axes.items()}
-    name = max(along, key=lambda name: along[name]) if tilt > MAX_TILT else max(flat, key=lambda name: flat[name])
+    name = (
+        max(along, key=lambda name: along[name])
+        if tilt > MAX_TILT
+        else max(flat, key=lambda name: flat[name])
+    )
     up = axes[name]
     if tilt > MAX_TILT:
-        turned = along[name] < np.cos(np.radians(UPRIGHT)) or not (name == "-z" or _narrow(scans, up, z))
+        turned = along[name] < np.cos(np.radians(UPRIGHT)) or not (
+            name == "-z" or _narrow(scans, up, z)
+        )
         if turned or given >= FLAT or flat[name] < max(given, FLAT):
             return None
     elif flat[name] < FLAT + given or not _narrow(scans, up, z):
@@ -60,38 +80,59 @@ def _other_up(scans: Sequence[ScanView], tilt: float) -> Finding | None:
     return Finding(
         "world not z-up",
         Confidence.LIKELY,
-        f"the ground is flat along the world's {name} axis: {flat[name]:.0%} of the cells around the sensor "
+        f"the ground is flat along the world's {name} axis: {flat[name]:.0%} of the cells around "
+        "the sensor "
         f"show ground, along z only {given:.0%}, so {name} points up",
-        f"Rotate the world: with R = [{rotation}], write R @ T[:3] for each pose, and R @ points if points are in the "
+        f"Rotate the world: with R = [{rotation}], write R @ T[:3] for each pose, and R @ points "
+        "if points are in the "
         "world frame",
     )
 
 
 def _tilted(T: F64, tilt: float, scans: Sequence[ScanView]) -> Finding:
-    """A finding on a sensor that lies on its side; a fault of poses if that also narrows the vertical field of view."""
+    """A finding on a sensor that lies on its side.
+
+    A fault of poses if that also narrows the vertical field of view.
+    """
     for fault in FAULTS[1:]:
         corrected = tilt_of(np.array([fault.correct(pose) for pose in T]))
         if corrected < UPRIGHT and _narrower(scans, [fault.correct(s.T)[:3, 2] for s in scans]):
-            evidence = f"the sensor is tilted by {tilt:.0f} degrees, after correction by {corrected:.0f}"
+            evidence = (
+                f"the sensor is tilted by {tilt:.0f} degrees, after correction by {corrected:.0f}"
+            )
             return Finding(fault.name, Confidence.LIKELY, f"{fault.problem}: {evidence}", fault.fix)
     problem = f"the sensor's z axis is tilted by {tilt:.0f} degrees from the world's"
-    fix = "Rotate the world so that z points up. A tilted mount is fine in itself, but methods then find no ground"
+    fix = (
+        "Rotate the world so that z points up. A tilted mount is fine in itself, but methods then "
+        "find no ground"
+    )
     return Finding("tilted", Confidence.PERHAPS, problem, fix)
 
 
 def _narrow(scans: Sequence[ScanView], axis: F64, other: F64) -> bool:
-    """Whether the fields of view are clearly narrower about an axis of the world than about another."""
-    return float(np.median([_spread(s, axis) / max(_spread(s, other), 1e-6) for s in scans])) < NARROWER
+    """Whether the fields of view are clearly narrower about an axis of the world than about
+    another.
+    """
+    return (
+        float(np.median([_spread(s, axis) / max(_spread(s, other), 1e-6) for s in scans]))
+        < NARROWER
+    )
 
 
 def _narrower(scans: Sequence[ScanView], axes: Sequence[F64]) -> bool:
-    """Whether the fields of view are clearly narrower about other axes than about the sensor's z axis."""
-    spreads = [(_spread(s, axis), _spread(s, s.T[:3, 2])) for s, axis in zip(scans, axes, strict=True)]
+    """Whether the fields of view are clearly narrower about other axes than about the sensor's z
+    axis.
+    """
+    spreads = [
+        (_spread(s, axis), _spread(s, s.T[:3, 2])) for s, axis in zip(scans, axes, strict=True)
+    ]
     return bool(spreads) and float(np.median([a / max(b, 1e-6) for a, b in spreads])) < NARROWER
 
 
 def _spread(view: ScanView, axis: F64) -> float:
-    """Vertical field of view about an axis of the world, degrees, that contains 96 % of the points."""
+    """Vertical field of view about an axis of the world, degrees, that contains 96 %
+    of the points.
+    """
     rays = view.sample - view.T[:3, 3]
     ranges = np.maximum(np.sqrt((rays * rays).sum(1)), 1e-6)
     elevation = np.degrees(np.arcsin(np.clip((rays * axis).sum(1) / ranges, -1, 1)))
@@ -107,10 +148,14 @@ def ground(views: Pairs, height: float | None, sensor: str) -> Iterator[Finding]
     measured = float(np.median(found))
     if abs(measured - height) > max(0.5, 0.35 * height):
         problem = (
-            f"the ground is {measured:.1f} m below the sensor, but the mounting height of {sensor} is {height:.1f} m"
+            f"the ground is {measured:.1f} m below the sensor, but the mounting height of {sensor} "
+            f"is {height:.1f} m"
         )
         option = settable("sensor_height", f"{measured:.2f}")
-        fix = f"Give the sensor with --sensor NAME (see 'dynaviz list sensors'), or its height: {option}"
+        fix = (
+            "Give the sensor with --sensor NAME (see 'dynaviz list sensors'), or its height: "
+            f"{option}"
+        )
         yield Finding("ground height", Confidence.LIKELY, problem, fix)
 
 

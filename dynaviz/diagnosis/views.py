@@ -1,4 +1,7 @@
-"""Scans prepared for comparison: downsampled points, surfaces, and the path of the sensor during the sweep."""
+"""Scans prepared for comparison.
+
+Downsampled points, surfaces, and the path of the sensor during the sweep.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,9 @@ CELL = 0.4  # metres; voxel size for comparing scans
 SAMPLE = 20_000  # points in which hidden ones are counted
 REACH = 80.0  # metres from the median along each axis; farther points are too sparse
 ON_SURFACE = 0.1  # metres; largest distance from a plane of a point that lies on it
-MIN_MOVE, MIN_TURN = 1.0, 5.0  # metres and degrees between the two scans of a pair
+# metres and degrees between the two scans of a pair
+MIN_MOVE = 1.0
+MIN_TURN = 5.0
 MAX_APART = 40  # frames between the two scans of a pair
 MIN_POINTS = 50  # downsampled points that a scan needs to be compared
 SWEEP = 0.1  # seconds; duration of a sweep, at most, if frames have times
@@ -31,18 +36,22 @@ class ScanView:
 
     Args:
         scan: the scan.
-        around: (2, 4, 4) float64, metres: given poses one sweep before and one after the scan; None if it stands still.
+        around: (2, 4, 4) float64, metres: given poses one sweep before and one after the scan; None
+            if it stands still.
 
     Attributes:
         index: number of the frame.
         T: (4, 4) float64, metres: the given pose.
         stamp: the frame's time, nanoseconds, or None.
         points: (N, 3) float64, metres, given world frame: one point per voxel of ``CELL``.
-        sample: (M, 3) float64, metres, given world frame: up to ``SAMPLE`` random points, with the density of the scan.
+        sample: (M, 3) float64, metres, given world frame: up to ``SAMPLE`` random points, with the
+            density of the scan.
     """
 
     def __init__(self, scan: Scan, around: F64 | None = None) -> None:
-        self.index, self.T, self.stamp = scan.index, scan.T_world_sensor, scan.stamp_ns
+        self.index = scan.index
+        self.T = scan.T_world_sensor
+        self.stamp = scan.stamp_ns
         self._around = np.empty((0, 4, 4)) if around is None else around
         xyz = scan.points[np.isfinite(scan.points).all(1)]
         middle = np.median(xyz, axis=0) if len(xyz) else np.zeros(3)
@@ -61,7 +70,8 @@ class ScanView:
     def path(self, pose: Pose) -> F64:
         """Positions of the sensor during the sweep, (K, 3) metres, the frame's own first.
 
-        The points of a sweep are measured while the sensor moves, and the pose may be that of any moment of the sweep.
+        The points of a sweep are measured while the sensor moves, and the pose may be that of any
+        moment of the sweep.
 
         Args:
             pose: T_world_sensor, from a given pose.
@@ -84,13 +94,16 @@ class Surface:
     def __init__(self, points: F64) -> None:
         from scipy.spatial import cKDTree
 
-        self.points, self.tree = points, cKDTree(points)
+        self.points = points
+        self.tree = cKDTree(points)
         around = points[self.tree.query(points, min(9, len(points)))[1]]
         centred = around - around.mean(1, keepdims=True)
         self.normals = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
 
     def heights(self, points: F64) -> tuple[F64, F64]:
-        """Signed height above the plane of the nearest point, (N,) metres, inf beyond 1 m, and its normal, (N, 3)."""
+        """Signed height above the plane of the nearest point, (N,) metres, inf beyond 1 m, and its
+        normal, (N, 3).
+        """
         distances, nearest = self.tree.query(points, distance_upper_bound=1.0)
         found = np.isfinite(distances)
         row = np.where(found, nearest, 0)
@@ -103,7 +116,9 @@ class Surface:
 
 
 def hidden(points: F64, path: F64, surfaces: F64 | None = None) -> float:
-    """Share of points that lie well behind surfaces, seen from everywhere on a path; bins of one degree.
+    """Share of points that lie well behind surfaces, seen from everywhere on a path.
+
+    Bins of one degree.
 
     Args:
         points: (N, 3) float64, metres.
@@ -134,7 +149,11 @@ def _bins(points: F64, origin: F64) -> tuple[Intp, F64]:
 
 
 def pairs(
-    positions: Sequence[int], poses: Sequence[F64], usable: Sequence[bool], number: int = 6, skipped: int = 0
+    positions: Sequence[int],
+    poses: Sequence[F64],
+    usable: Sequence[bool],
+    number: int = 6,
+    skipped: int = 0,
 ) -> list[tuple[int, int]]:
     """Pairs of scans over the whole sequence, apart by ``MIN_MOVE`` or ``MIN_TURN`` if possible.
 
@@ -151,7 +170,8 @@ def pairs(
     if not rows:
         return chosen
     for k in np.unique(np.linspace(0, max(len(rows) - 2, 0), number).astype(int)):
-        first, last = rows[k], None
+        first = rows[k]
+        last = None
         for row in rows[k + 1 :]:
             if positions[row] - positions[first] > MAX_APART:
                 break
@@ -174,17 +194,23 @@ def comparable(views: Iterable[ScanView]) -> bool:
     return all(len(view.points) > MIN_POINTS for view in views)
 
 
-def around(row: int, positions: Sequence[int], poses: Sequence[F64], stamps: Sequence[int | None]) -> F64 | None:
-    """Poses one sweep before and one after a scan, (2, 4, 4) metres, from the frames next to it; None without any.
+def around(
+    row: int, positions: Sequence[int], poses: Sequence[F64], stamps: Sequence[int | None]
+) -> F64 | None:
+    """Poses one sweep before and one after a scan, (2, 4, 4) metres, from the frames next to it.
 
-    Only the positions are meaningful: they continue the way to the neighbouring frame at a constant speed.
+    None without any.
+
+    Only the positions are meaningful: they continue the way to the neighbouring frame at a constant
+    speed.
     """
     found = []
     for other in (row - 1, row + 1):
         gap = abs(positions[other] - positions[row]) if 0 <= other < len(poses) else 0
         if not 0 < gap <= NEIGHBOUR:
             continue
-        a, b = stamps[row], stamps[other]
+        a = stamps[row]
+        b = stamps[other]
         seconds = abs(a - b) / 1e9 if a is not None and b is not None else 0.0
         share = min(1.0, SWEEP / seconds) if seconds > 0 else 1.0 / gap
         T = poses[row].copy()
@@ -208,7 +234,9 @@ def ground_below(view: ScanView, up: F64, position: F64 | None = None) -> tuple[
     Returns:
         As from ``sensor_height``.
     """
-    return sensor_height((view.sample - (view.T[:3, 3] if position is None else position)) @ to_z(up).T)
+    return sensor_height(
+        (view.sample - (view.T[:3, 3] if position is None else position)) @ to_z(up).T
+    )
 
 
 def to_z(up: F64) -> F64:

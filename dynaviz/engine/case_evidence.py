@@ -1,4 +1,7 @@
-"""The evidence of a failure case: what the ledgers of its points have in common, in the terms of the method."""
+"""The evidence of a failure case.
+
+What the ledgers of its points have in common, in the terms of the method.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +20,15 @@ BOUNDS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
 
 @dataclass(frozen=True, slots=True)
 class Deciding:
-    """The rule that decided most points of a case: that which removed them, or that which came closest to it.
+    """The rule that decided most points of a case.
+
+    That which removed them, or that which came closest to it.
 
     Attributes:
         rule: its name.
         points: number of points that it decided.
-        terms: of a removed case all its terms, of a kept case those that fail, with the median value; None if unknown.
+        terms: of a removed case all its terms, of a kept case those that fail, with the median
+            value; None if unknown.
     """
 
     rule: str
@@ -52,9 +58,17 @@ class CaseEvidence:
     @property
     def text(self) -> str:
         """The evidence in a sentence or two."""
-        cells = "Its cell was" if self.points == 1 else f"In the median of {self.points:,} points, the cell was"
+        cells = (
+            "Its cell was"
+            if self.points == 1
+            else f"In the median of {self.points:,} points, the cell was"
+        )
         counts = f"hit by {_scans(self.hit)} and crossed by {self.crossed:g} of {self.searched:,}"
-        decided = "" if self.deciding is None else f" {_decided(self.deciding, self.points, self.removed)}"
+        decided = (
+            ""
+            if self.deciding is None
+            else f" {_decided(self.deciding, self.points, self.removed)}"
+        )
         return f"{cells} {counts}.{decided}"
 
 
@@ -67,15 +81,18 @@ def evidence_of(ledgers: Sequence[PointLedger]) -> CaseEvidence:
         hit=_median(ledgers, lambda entry: entry.hits > 0),
         crossed=_median(ledgers, lambda entry: entry.crossed > 0),
         removed=removed,
-        deciding=_deciding([ledger for ledger in ledgers if ledger.removed == removed and ledger.rules], removed),
+        deciding=_deciding(
+            [ledger for ledger in ledgers if ledger.removed == removed and ledger.rules], removed
+        ),
     )
 
 
 def evidence_text(ledgers: Sequence[PointLedger], case: FailureCase | None) -> str:
-    """What ledgers, at least one, of a case have in common, and the measured angles of the case, in sentences.
+    """What ledgers, at least one, of a case have in common, and the measured angles of the case, in
+    sentences.
 
-    Points with the reason that decided the case stand for it, as they do in its own sentence; if its worst frame has
-    none, those with the most frequent reason there.
+    Points with the reason that decided the case stand for it, as they do in its own sentence; if
+    its worst frame has none, those with the most frequent reason there.
     """
     if case is None or case.reason is None:
         return evidence_of(ledgers).text
@@ -88,7 +105,9 @@ def evidence_text(ledgers: Sequence[PointLedger], case: FailureCase | None) -> s
     if others := len(ledgers) - len(chosen):
         parts.append(f"{others:,} other point{'s have' if others > 1 else ' has'} other reasons.")
     if case.grazed is not None:
-        parts.append(f"Rays meet {100 * case.grazed:.0f} % of its surface at less than {GRAZING:g}°.")
+        parts.append(
+            f"Rays meet {100 * case.grazed:.0f} % of its surface at less than {GRAZING:g}°."
+        )
     return " ".join(parts)
 
 
@@ -100,7 +119,10 @@ def decided_by(ledger: PointLedger) -> RuleValue | None:
 
 
 def flip(ledger: PointLedger) -> str:
-    """How far a point is from the other label, by the only term that would have to change; empty if there are more."""
+    """How far a point is from the other label, by the only term that would have to change.
+
+    Empty if there are more.
+    """
     rule = decided_by(ledger)
     if rule is None:
         return ""
@@ -108,7 +130,8 @@ def flip(ledger: PointLedger) -> str:
     removing = sum(other.holds for other in ledger.rules)
     if len(changing) != 1 or math.isnan(changing[0].threshold) or (ledger.removed and removing > 1):
         return ""
-    term, value = changing[0], changing[0].value
+    term = changing[0]
+    value = changing[0].value
     if value is None or _yes_or_no(term):
         return ""
     gap = abs(value - term.threshold)
@@ -123,16 +146,27 @@ def flip(ledger: PointLedger) -> str:
 
 
 def _scans_to_flip(ledger: PointLedger, term: TermValue, gap: float) -> int | None:
-    """Scans like the earlier ones after which an accumulated term would be beyond its threshold; None if unknown."""
+    """Scans like the earlier ones after which an accumulated term would be beyond its threshold.
+
+    None if unknown.
+    """
     if not any(quantity.name == term.name and quantity.total for quantity in ledger.quantities):
         return None
     down = (term.test in ("<", "<=")) != ledger.removed  # the direction of the other label
-    steps = [change for entry in ledger.entries if (change := entry.changes.get(term.name)) and (change < 0) == down]
+    steps = [
+        change
+        for entry in ledger.entries
+        if (change := entry.changes.get(term.name)) and (change < 0) == down
+    ]
     if not steps:
         return None
     step = abs(median(steps))
     count = math.ceil(gap / step)
-    return count + 1 if count * step == gap and (term.test in ("<", ">")) != ledger.removed else max(count, 1)
+    return (
+        count + 1
+        if count * step == gap and (term.test in ("<", ">")) != ledger.removed
+        else max(count, 1)
+    )
 
 
 def _deciding(ledgers: Sequence[PointLedger], removed: bool) -> Deciding | None:
@@ -143,7 +177,9 @@ def _deciding(ledgers: Sequence[PointLedger], removed: bool) -> Deciding | None:
     (name, failing), count = kept_by.most_common(1)[0]
     members = [rule for rule in rules if (rule.name, _failing(rule)) == (name, failing)]
     shown = range(len(members[0].terms)) if removed else failing
-    return Deciding(name, count, tuple(_median_term([rule.terms[k] for rule in members]) for k in shown))
+    return Deciding(
+        name, count, tuple(_median_term([rule.terms[k] for rule in members]) for k in shown)
+    )
 
 
 def _failing(rule: RuleValue) -> tuple[int, ...]:
@@ -151,7 +187,10 @@ def _failing(rule: RuleValue) -> tuple[int, ...]:
 
 
 def _closeness(rule: RuleValue) -> tuple[int, int]:
-    """A rule with unknown values does not apply; of the others, one with fewer failing terms is closer."""
+    """A rule with unknown values does not apply.
+
+    Of the others, one with fewer failing terms is closer.
+    """
     unknown = sum(map(_unknown, rule.terms))
     return -unknown, -len(_failing(rule))
 

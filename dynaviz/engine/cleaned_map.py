@@ -1,4 +1,6 @@
-"""Write maps of what a run kept and removed, with attributes, in a second pass over the sequence."""
+"""Write maps of what a run kept and removed, with attributes, in a second pass over
+the sequence.
+"""
 
 from __future__ import annotations
 
@@ -43,10 +45,12 @@ class MapFile:
         path: the file, or the folder of a tiled map.
         removed: write the points that the run removed, instead of those that it kept.
         tiled: write Autoware's divided map.
-        tile_size: edge of the squares that get a file each in the folder, metres; None for one file.
+        tile_size: edge of the squares that get a file each in the folder, metres; None for one
+            file.
         suffix: of these files.
         region: write only the points inside.
-        voxel_size: write one point per voxel of this edge, metres: the first one. None for all points.
+        voxel_size: write one point per voxel of this edge, metres: the first one. None for all
+            points.
         marked: write all points, with the attributes ``dynamic`` and ``reason``.
         reason: write only the points with this code of the method; None for all.
     """
@@ -71,7 +75,9 @@ class WrittenMap:
     attributes: tuple[str, ...] = field(default=())
 
 
-JUDGED_STATIC, JUDGED_DYNAMIC, NOT_JUDGED = 0, 1, 2
+JUDGED_STATIC = 0
+JUDGED_DYNAMIC = 1
+NOT_JUDGED = 2
 """Values of the attribute ``dynamic`` of a map in which points are marked."""
 
 NO_REASON = 255
@@ -86,7 +92,8 @@ class Judgement:
 
     Attributes:
         labels: (N,) bool for each frame by position, True for removed points.
-        reasons: (N,) uint8 for each frame, in order: codes of the method; None if no file needs them.
+        reasons: (N,) uint8 for each frame, in order: codes of the method; None if no file needs
+            them.
     """
 
     labels: Sequence[Bool]
@@ -108,18 +115,23 @@ def write_maps(
         judgement: labels, and reasons if a file needs them.
         files: what to write; the account is that of the first.
         progress: called after each frame.
-        drop_unposed: leave out points that no pose covers. Otherwise they are kept, where their place is known.
+        drop_unposed: leave out points that no pose covers. Otherwise they are kept, where their
+            place is known.
         seen: called with each scan.
 
     Raises:
         DataError: for data that cannot be read, or files that cannot be written.
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
-    fields, origin, given = _dtypes(sequence), origin_of(sequence), coordinates_of(sequence, 0)
+    fields = _dtypes(sequence)
+    origin = origin_of(sequence)
+    given = coordinates_of(sequence, 0)
     double = given is not None and given.dtype == np.float64
-    like, stamp = las_file_of(sequence), sequence[0].stamp_ns
+    like = las_file_of(sequence)
+    stamp = sequence[0].stamp_ns
     timed = stamp is not None and "gps_time" not in fields
-    absolute = stamp is not None and stamp >= GPS_EPOCH * 10**9  # otherwise the clock does not tell the date
+    # otherwise the clock does not tell the date
+    absolute = stamp is not None and stamp >= GPS_EPOCH * 10**9
     head = LasHead(like, timed and absolute)
     clock = None if not timed else adjusted_gps_time if absolute else _seconds
     conform = _Conform(fields)
@@ -159,11 +171,18 @@ class _Frames:
 
     def __getitem__(self, position: int) -> tuple[Scan, F64, Attributes]:
         scan = self.sequence[position]
-        return scan, exact_points(self.sequence, position, scan), attributes_of(self.sequence, position)
+        return (
+            scan,
+            exact_points(self.sequence, position, scan),
+            attributes_of(self.sequence, position),
+        )
 
 
 def region_is_empty(sequence: ScanSequence, region: Region) -> bool:
-    """Whether a region contains no point of a sequence; frames are read until one is found, in random order."""
+    """Whether a region contains no point of a sequence.
+
+    Frames are read until one is found, in random order.
+    """
     origin = origin_of(sequence)
     for position in np.random.default_rng(0).permutation(len(sequence)).tolist():
         points = sequence[position].points
@@ -209,7 +228,9 @@ class _Points:
         """The attributes of a map in which points are marked."""
         n = len(self.xyz)
         dynamic = (
-            np.full(n, NOT_JUDGED) if self.dynamic is None else np.where(self.dynamic, JUDGED_DYNAMIC, JUDGED_STATIC)
+            np.full(n, NOT_JUDGED)
+            if self.dynamic is None
+            else np.where(self.dynamic, JUDGED_DYNAMIC, JUDGED_STATIC)
         )
         reasons = np.full(n, NO_REASON) if self.reasons is None else self.reasons
         return {"dynamic": dynamic.astype(np.uint8), "reason": reasons.astype(np.uint8)}
@@ -223,7 +244,11 @@ def _seconds(times: I64) -> F64:
 
 def _times(scan: Scan, stamp_ns: int) -> I64:
     """(N,) int64, nanoseconds: when each point was measured."""
-    offsets = np.zeros(len(scan), np.int64) if scan.times is None else np.round(scan.times.astype(np.float64) * 1e9)
+    offsets = (
+        np.zeros(len(scan), np.int64)
+        if scan.times is None
+        else np.round(scan.times.astype(np.float64) * 1e9)
+    )
     return stamp_ns + offsets.astype(np.int64)
 
 
@@ -231,18 +256,24 @@ def _dtypes(sequence: ScanSequence) -> dict[str, np.dtype[Any]]:
     """Attributes of the first frame that has any, with their types; x, y and z are coordinates."""
     for position in range(min(len(sequence), 10)):
         if found := attributes_of(sequence, position):
-            return {name: array.dtype for name, array in found.items() if name not in ("x", "y", "z", "points")}
+            return {
+                name: array.dtype
+                for name, array in found.items()
+                if name not in ("x", "y", "z", "points")
+            }
     return {}
 
 
 class _Conform:
-    """Gives all frames the attributes of the first, with one warning for all frames that have others.
+    """Gives all frames the attributes of the first, with one warning for all frames that have
+    others.
 
     What a frame lacks becomes 0; what only it has is left out.
     """
 
     def __init__(self, fields: Mapping[str, np.dtype[Any]]) -> None:
-        self._fields, self._warned = fields, False
+        self._fields = fields
+        self._warned = False
 
     def __call__(self, attributes: Attributes, points: int, position: int | None) -> Attributes:
         missing = [name for name in self._fields if name not in attributes]
@@ -251,10 +282,16 @@ class _Conform:
             self._warned = True
             where = "points without a pose have" if position is None else f"frame {position} has"
             problems = [f"{where} no {', '.join(missing)}; the map has 0 there"] if missing else []
-            problems += [f"{where} also {', '.join(more)}, unlike the first; the map leaves it out"] if more else []
+            problems += (
+                [f"{where} also {', '.join(more)}, unlike the first; the map leaves it out"]
+                if more
+                else []
+            )
             warnings.warn(". ".join(problems), stacklevel=3)
         return {
-            name: attributes[name].astype(dtype, copy=False) if name in attributes else np.zeros(points, dtype)
+            name: attributes[name].astype(dtype, copy=False)
+            if name in attributes
+            else np.zeros(points, dtype)
             for name, dtype in self._fields.items()
         }
 
@@ -272,11 +309,16 @@ class _Map:
         clock: Callable[[I64], F64] | None,
         double: bool,
     ) -> None:
-        self._file, self._origin, self._voxels = file, origin, KeySet()
+        self._file = file
+        self._origin = origin
+        self._voxels = KeySet()
         self._clock = clock if (file.suffix or file.path.suffix).lower() in LAS else None
         marks = _MARKS if file.marked else {}
         if replaced := [name for name in marks if name in fields]:
-            warnings.warn(f"{file.path}: the marks replace the attribute {' and '.join(replaced)}", stacklevel=4)
+            warnings.warn(
+                f"{file.path}: the marks replace the attribute {' and '.join(replaced)}",
+                stacklevel=4,
+            )
         own = {**fields, **({"gps_time": np.dtype(np.float64)} if self._clock else {}), **marks}
         self._account = dict.fromkeys(PointAccount.__struct_fields__, 0)
         self._append = stack.enter_context(_writer(file, own, origin, head, double))
@@ -295,11 +337,17 @@ class _Map:
             self._account["removed"] += int(points.dynamic[chosen].sum())
             chosen = chosen[points.dynamic[chosen] == self._file.removed]
         if (wanted := self._file.reason) is not None:
-            chosen = chosen[:0] if points.reasons is None else chosen[points.reasons[chosen] == wanted]
+            chosen = (
+                chosen[:0] if points.reasons is None else chosen[points.reasons[chosen] == wanted]
+            )
         if self._file.region is not None:
-            chosen = self._take("outside_region", chosen, self._file.region.contains(points.xyz[chosen]))
+            chosen = self._take(
+                "outside_region", chosen, self._file.region.contains(points.xyz[chosen])
+            )
         if self._file.voxel_size is not None:
-            chosen = self._take("thinned", chosen, self._first_in_voxels(points.xyz[chosen], self._file.voxel_size))
+            chosen = self._take(
+                "thinned", chosen, self._first_in_voxels(points.xyz[chosen], self._file.voxel_size)
+            )
         if points.dynamic is None:
             self._account["unposed_kept"] += len(chosen)
         else:
@@ -330,7 +378,10 @@ class _Map:
         return chosen
 
     def _first_in_voxels(self, xyz: F64, size: float) -> Bool:
-        """(N,) bool: the first points in voxels without a point; those beyond the range of keys are all kept."""
+        """(N,) bool: the first points in voxels without a point.
+
+        Those beyond the range of keys are all kept.
+        """
         points = (xyz - self._origin).astype(np.float32)
         new: Bool = np.ones(len(points), np.bool_)
         near = in_key_range(points, size)
@@ -338,7 +389,9 @@ class _Map:
         return new
 
 
-def _writer(file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead, double: bool) -> Writing:
+def _writer(
+    file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead, double: bool
+) -> Writing:
     if file.tile_size is not None:
         return map_tiles(file.path, fields, origin, file.tile_size, file.suffix, head, double)
     if file.tiled:

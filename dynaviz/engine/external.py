@@ -1,8 +1,8 @@
 """Labels from other programs: a cleaned map, labels of each scan, or the labels of an earlier run.
 
-They are scored and recorded like any method. A cleaned map contains points, not labels: a point of the sequence counts
-as removed if the nearest point of the map is farther than a radius (scoring ``nn``, the rule of the public benchmark).
-Labels are looked up by index (scoring ``mask``).
+They are scored and recorded like any method. A cleaned map contains points, not labels: a point of
+the sequence counts as removed if the nearest point of the map is farther than a radius (scoring
+``nn``, the rule of the public benchmark). Labels are looked up by index (scoring ``mask``).
 """
 
 from __future__ import annotations
@@ -40,10 +40,15 @@ _GENERIC = ("predictions", "labels", "sequences", "bin")  # folder names that do
 
 @runtime_checkable
 class TakesMap(Protocol):
-    """A metric that looks at a cleaned map itself, in addition to the labels that follow from it."""
+    """A metric that looks at a cleaned map itself, in addition to the labels that
+    follow from it.
+    """
 
     def cleaned_map(self, points: F32) -> None:
-        """The map's points, (M, 3) float32, metres, world frame; finite. Called once, before the first scan."""
+        """The map's points, (M, 3) float32, metres, world frame; finite.
+
+        Called once, before the first scan.
+        """
         ...
 
 
@@ -75,27 +80,46 @@ class ExternalMap:
 
     scoring = "nn"
 
-    def __init__(self, path: Path, name: str, radius: float = RADIUS, origin: F64 | None = None) -> None:
+    def __init__(
+        self, path: Path, name: str, radius: float = RADIUS, origin: F64 | None = None
+    ) -> None:
         if not 0 <= radius < np.inf:
-            raise UsageError(f"radius = {radius}: give metres, 0 or more; the public benchmark uses {RADIUS}")
+            raise UsageError(
+                f"radius = {radius}: give metres, 0 or more; the public benchmark uses {RADIUS}"
+            )
         far = origin if origin is not None and origin.any() else None
         points = read_points(path) if far is None else single(coordinates(read_fields(path)) - far)
         chosen = all_finite(points)
-        self.path, self.points, self.params = path, np.compress(chosen, points, 0), MapParams(radius)
-        self.total, self.not_finite = len(points), len(points) - len(self.points)
+        self.path = path
+        self.points = np.compress(chosen, points, 0)
+        self.params = MapParams(radius)
+        self.total = len(points)
+        self.not_finite = len(points) - len(self.points)
         if not len(self.points):
-            problem = "contains no points" if not len(points) else "contains no point with finite coordinates"
-            raise DataError(path, problem, hint="A cleaned map contains the static points: check its program's output")
+            problem = (
+                "contains no points"
+                if not len(points)
+                else "contains no point with finite coordinates"
+            )
+            raise DataError(
+                path,
+                problem,
+                hint="A cleaned map contains the static points: check its program's output",
+            )
         title = f"{name} (a map, within {radius:g} m)"
         self.info = MethodInfo(name, title, f"another program, which wrote {path.name}", _REASONS)
         # By columns, here and below: numpy is ten times slower along rows of three.
-        self.low, self.high = (np.array([f(column) for column in self.points.T]) for f in (np.min, np.max))
+        self.low, self.high = (
+            np.array([f(column) for column in self.points.T]) for f in (np.min, np.max)
+        )
 
     def begin(self, context: Context) -> None:
         """Build the search tree of the part of the map that lies near the sequence."""
         margin = _NEARBY + self.params.radius
         inside = np.ones(len(self.points), np.bool_)
-        for column, low, high in zip(self.points.T, context.extent.low, context.extent.high, strict=True):
+        for column, low, high in zip(
+            self.points.T, context.extent.low, context.extent.high, strict=True
+        ):
             inside &= (column >= low - margin) & (column <= high + margin)
         self.points = np.compress(inside, self.points, 0)
         self._tree = Nearest(self.points)
@@ -114,7 +138,9 @@ class ExternalMap:
 
 
 class PrecomputedLabels:
-    """Labels from the ``labels.npz`` of a run, or of another program (format: ``dynaviz.engine.outputs.LabelsFile``).
+    """Labels from the ``labels.npz`` of a run, or of another program (format.
+
+    ``dynaviz.engine.outputs.LabelsFile``).
 
     Raises:
         DataError: for a file in another format, or a damaged one.
@@ -123,12 +149,18 @@ class PrecomputedLabels:
     scoring = "mask"
 
     def __init__(self, path: Path, name: str) -> None:
-        self.path, self.params, self._labels = path, NoParams(), RunLabels.load(path)
+        self.path = path
+        self.params = NoParams()
+        self._labels = RunLabels.load(path)
         legend = self._labels.legend
         self._unanswered = legend.index(UNANSWERED) if UNANSWERED in legend else None
-        self._positions = {number: position for position, number in enumerate(self._labels.frames.tolist())}
+        self._positions = {
+            number: position for position, number in enumerate(self._labels.frames.tolist())
+        }
         reasons = tuple(Reason(reason, "from the labels file") for reason in legend)
-        self.info = MethodInfo(name, f"{name} (labels)", f"another run, which wrote {path.name}", reasons)
+        self.info = MethodInfo(
+            name, f"{name} (labels)", f"another run, which wrote {path.name}", reasons
+        )
 
     @property
     def frames(self) -> Collection[int]:
@@ -146,20 +178,28 @@ class PrecomputedLabels:
         """
         position = self._positions.get(scan.index)
         if position is None:
-            raise DataError(self.path, f"has no labels for frame {scan.index}", hint="Write or copy it again")
+            raise DataError(
+                self.path, f"has no labels for frame {scan.index}", hint="Write or copy it again"
+            )
         reasons = self._labels.reasons_of(position)
-        answered = self._unanswered is None or not len(reasons) or bool(reasons[0] != self._unanswered)
+        answered = (
+            self._unanswered is None or not len(reasons) or bool(reasons[0] != self._unanswered)
+        )
         return Labels(self._labels[position], reasons, answered)
 
     def check(self, sequence: str, summary: SequenceSummary) -> None:
-        """Raise DataError if the labels are from a different sequence than the one with this name and summary."""
+        """Raise DataError if the labels are from a different sequence than the one with this name
+        and summary.
+        """
         if summary.digest != (digest := self._labels.sequence_digest):
             problem = (
                 f"is from a different sequence: the labels have the digest {digest[:12]}..., "
                 f"the frames of {sequence} {summary.digest[:12]}..."
             )
             raise DataError(
-                self.path, problem, hint="Give the sequence of that run, and the same --frames and --stride"
+                self.path,
+                problem,
+                hint="Give the sequence of that run, and the same --frames and --stride",
             )
 
 
@@ -167,7 +207,9 @@ External = ExternalMap | PrecomputedLabels | LabelFolder
 
 
 def default_name(path: str | os.PathLike[str]) -> str:
-    """Name for tables: of a file, its name without the suffix; of a folder, its name or that of a folder above.
+    """Name for tables: of a file, its name without the suffix.
+
+    Of a folder, its name or that of a folder above.
 
     Names that say nothing about the program are skipped: ``predictions``, ``sequences``, ``08``.
     """
@@ -175,7 +217,9 @@ def default_name(path: str | os.PathLike[str]) -> str:
     if not path.is_dir():
         return path.stem
     names = [folder.name for folder in (path.resolve(), *path.resolve().parents)]
-    return next((name for name in names if name and name not in _GENERIC and not name.isdigit()), "labels")
+    return next(
+        (name for name in names if name and name not in _GENERIC and not name.isdigit()), "labels"
+    )
 
 
 def read_external(
@@ -186,7 +230,9 @@ def read_external(
     name: str | None = None,
     key: str | None = None,
 ) -> External:
-    """Read the output of another program: ``labels.npz`` or the folder of a run, label files of scans, or a map.
+    """Read the output of another program.
+
+    ``labels.npz`` or the folder of a run, label files of scans, or a map.
 
     Args:
         path: the file or folder.

@@ -1,4 +1,6 @@
-"""Labels that another program wrote, one file per scan, as moving object segmentation networks write them."""
+"""Labels that another program wrote, one file per scan, as moving object segmentation networks
+write them.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ _REASONS = (
     Reason("labelled_moving", "removed: moving in its label file"),
     Reason(UNANSWERED, "kept and not scored: its scan has no label file"),
 )
-_LAYOUT = "Give a folder with a .label, .npy or .npz file for each scan, named by frame number (000000.label)"
+_LAYOUT = (
+    "Give a folder with a .label, .npy or .npz file for each scan, named by frame number "
+    "(000000.label)"
+)
 
 
 @dataclass(frozen=True)
@@ -35,28 +40,34 @@ class LabelFolder:
     Scans without a file are unanswered: their points are kept and not scored.
 
     Args:
-        path: the folder with the files; or one that contains them in ``predictions`` or ``sequences/NN/predictions``,
-            of which the sequence's is used.
+        path: the folder with the files; or one that contains them in ``predictions`` or
+            ``sequences/NN/predictions``, of which the sequence's is used.
         name: for tables.
         sequence: the sequence that they label.
         key: name of the array in ``.npz`` files with several.
 
     Raises:
-        DataError: if there are no such files, two for one frame, none for any frame, or if the first or the last frame
-            cannot be read.
+        DataError: if there are no such files, two for one frame, none for any frame, or if the
+            first or the last frame cannot be read.
     """
 
     scoring = "mask"
 
     def __init__(self, path: Path, name: str, sequence: Sequence, key: str | None = None) -> None:
-        self.path, self.params, self._key = _folder(path, sequence.name), NoParams(), key
+        self.path = _folder(path, sequence.name)
+        self.params = NoParams()
+        self._key = key
         self.files = _numbered(self.path)
-        self.info = MethodInfo(name, f"{name} (labels)", f"another program, which wrote {path.name}", _REASONS)
+        self.info = MethodInfo(
+            name, f"{name} (labels)", f"another program, which wrote {path.name}", _REASONS
+        )
         ends = sequence[0], sequence[len(sequence) - 1]
         first, last = (scan.index for scan in ends)
         if not any(first <= number <= last for number in self.files):
             numbers = f"{min(self.files)} to {max(self.files)}"
-            problem = f"labels the frames {numbers}, but {sequence.name} has the frames {first} to {last}"
+            problem = (
+                f"labels the frames {numbers}, but {sequence.name} has the frames {first} to {last}"
+            )
             raise DataError(self.path, problem, hint="Name each file by the number of its frame")
         for scan in ends:  # before anything is written: most mistakes are in every file
             self.label(scan)
@@ -71,7 +82,11 @@ class LabelFolder:
             DataError: if the file cannot be read, or has a different number of points.
         """
         if scan.index not in self.files:
-            return Labels(np.zeros(len(scan), np.bool_), np.full(len(scan), _UNANSWERED, np.uint8), answered=False)
+            return Labels(
+                np.zeros(len(scan), np.bool_),
+                np.full(len(scan), _UNANSWERED, np.uint8),
+                answered=False,
+            )
         moving = read_moving(self.files[scan.index], len(scan), self._key)
         return Labels(moving, np.where(moving, _MOVING, _STATIC).astype(np.uint8))
 
@@ -87,7 +102,9 @@ def _folder(path: Path, sequence: str) -> Path:
     if len(chosen) == 1:
         return chosen[0]
     found = ", ".join(str(folder.relative_to(path)) for folder in folders[:30])
-    problem = f"contains several folders with labels: {found}" if found else "contains no label files"
+    problem = (
+        f"contains several folders with labels: {found}" if found else "contains no label files"
+    )
     raise DataError(path, problem, hint="Give one of them" if found else _LAYOUT)
 
 
@@ -98,7 +115,12 @@ def _files(folder: Path) -> Iterator[Path]:
     except OSError as error:
         raise DataError(folder, error.strerror or "cannot be read", hint=_LAYOUT) from None
     for path in entries:
-        if path.suffix in SUFFIXES and path.stem.isascii() and path.stem.isdigit() and len(path.stem) < 19:
+        if (
+            path.suffix in SUFFIXES
+            and path.stem.isascii()
+            and path.stem.isdigit()
+            and len(path.stem) < 19
+        ):
             yield path
 
 
@@ -107,7 +129,9 @@ def _numbered(folder: Path) -> dict[int, Path]:
     files: dict[int, Path] = {}
     for path in _files(folder):
         if other := files.get(int(path.stem)):
-            raise DataError(path, f"labels the same frame as {other.name}", hint="Keep one file per frame")
+            raise DataError(
+                path, f"labels the same frame as {other.name}", hint="Keep one file per frame"
+            )
         files[int(path.stem)] = path
     if not files:
         raise DataError(folder, "contains no label files", hint=_LAYOUT)

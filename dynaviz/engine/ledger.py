@@ -1,4 +1,6 @@
-"""The ledger of points: every scan whose rays touched them, what each contributed to their labels, and the verdict."""
+"""The ledger of points: every scan whose rays touched them, what each contributed to their labels,
+and the verdict.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, I64, Bool, Intp
-from dynaviz.contracts.evidence import Asked, Evidence, Explains, Quantity, Rule, Term, Verdict, voxels_around
+from dynaviz.contracts.evidence import (
+    Asked,
+    Evidence,
+    Explains,
+    Quantity,
+    Rule,
+    Term,
+    Verdict,
+    voxels_around,
+)
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
@@ -22,7 +33,9 @@ from dynaviz.errors import PluginError, UsageError
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.surface import surface_normals
 
-EDGE = 0.1  # metres: of the box around a point whose rays are searched, for a method without evidence
+EDGE = (
+    0.1  # metres: of the box around a point whose rays are searched, for a method without evidence
+)
 TRUTH = {Label.STATIC: "static", Label.DYNAMIC: "dynamic"}
 
 
@@ -46,17 +59,23 @@ class Ledger(Listener):
         Raises:
             UsageError: for a frame or a point that does not exist.
         """
-        sequence, labeller = run.sequence, run.labeller
-        self._run, self._explains = run, labeller if isinstance(labeller, Explains) else None
+        sequence = run.sequence
+        labeller = run.labeller
+        self._run = run
+        self._explains = labeller if isinstance(labeller, Explains) else None
         self._books: dict[int, _Book] = {}
         for frame, rows in self._rows.items():
             if not 0 <= frame < len(sequence):
                 raise UsageError(f"frame {frame}: the run has the frames 0 to {len(sequence) - 1}")
             scan = sequence[frame]
             if (wrong := rows[(rows < 0) | (rows >= len(scan))]).size:
-                raise UsageError(f"point {wrong[0]}: frame {frame} has the points 0 to {len(scan) - 1}")
+                raise UsageError(
+                    f"point {wrong[0]}: frame {frame} has the points 0 to {len(scan) - 1}"
+                )
             self._books[frame] = _Book(frame, scan, rows)
-        if labeller.info.needs_map:  # only the raw map has rows, and counting them means reading the scans again
+        if (
+            labeller.info.needs_map
+        ):  # only the raw map has rows, and counting them means reading the scans again
             first = 0
             for frame in range(max(self._rows, default=-1) + 1):
                 if (book := self._books.get(frame)) is not None:
@@ -64,7 +83,10 @@ class Ledger(Listener):
                 first += len(sequence[frame])
 
     def needed(self, scan: Scan) -> Intp | None:
-        """(K,) the points of a scan whose rays can change what the method knows about the points; None for all."""
+        """(K,) the points of a scan whose rays can change what the method knows about the points.
+
+        None for all.
+        """
         books = [book for book in self._books.values() if not book.over and len(book.points)]
         if not all(book.alone for book in books):
             return None
@@ -81,7 +103,10 @@ class Ledger(Listener):
         self._enter(frame, self._scan)
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """Enter the scan of a labeller that observes none; take the labels and the rules that decided them."""
+        """Enter the scan of a labeller that observes none.
+
+        Take the labels and the rules that decided them.
+        """
         if self._run.method is None:
             self._enter(labelled.frame, labelled.scan)
         if (book := self._books.get(labelled.frame)) is not None:
@@ -98,17 +123,25 @@ class Ledger(Listener):
 
     def _enter(self, frame: int, scan: Scan) -> None:
         """Add an entry to each ledger that the scan concerns."""
-        books = [(book, self._evidence(book)) for book in self._books.values() if not book.over and len(book.points)]
+        books = [
+            (book, self._evidence(book))
+            for book in self._books.values()
+            if not book.over and len(book.points)
+        ]
         if not books:
             return
         cells = [book.cells if evidence is None else evidence.cells for book, evidence in books]
-        rays, first = Touching.of(scan, np.concatenate(cells)), 0
+        rays = Touching.of(scan, np.concatenate(cells))
+        first = 0
         for book, evidence in books:
             book.enter(frame, scan.index, evidence, rays, first)
             first += len(book.points)
 
     def _evidence(self, book: _Book) -> Evidence | None:
-        """What the method states on points; for so few, starting threads would take most of the time."""
+        """What the method states on points.
+
+        For so few, starting threads would take most of the time.
+        """
         if self._explains is None:
             return None
         threads = kernels.threads_in_use()
@@ -136,7 +169,9 @@ class _Book:
     """
 
     def __init__(self, frame: int, scan: Scan, rows: I64) -> None:
-        self.asked, self._frame, self._truth = Asked(scan.without_truth(), rows, 0), frame, scan.labels
+        self.asked = Asked(scan.without_truth(), rows, 0)
+        self._frame = frame
+        self._truth = scan.labels
         self.points = self.asked.points
         self.cells = voxels_around(self.points, EDGE)
         self.alone = self.over = False
@@ -144,11 +179,17 @@ class _Book:
         self._entries: list[list[LedgerEntry]] = [[] for _ in rows]
         self._totals: dict[str, F64] = {}  # the last values of quantities that accumulate
         self._best: dict[str, _Best] = {}
-        self._verdict, self._searched = Verdict(), 0
+        self._verdict = Verdict()
+        self._searched = 0
         self._quantities: tuple[Quantity, ...] = ()
 
-    def enter(self, frame: int, index: int, evidence: Evidence | None, rays: Touching, first: int) -> None:
-        """Add a scan to the ledgers that it concerns; the points' cells are those from ``first`` on."""
+    def enter(
+        self, frame: int, index: int, evidence: Evidence | None, rays: Touching, first: int
+    ) -> None:
+        """Add a scan to the ledgers that it concerns.
+
+        The points' cells are those from ``first`` on.
+        """
         self._searched += 1
         values: tuple[Quantity, ...] = ()
         held: dict[str, Bool] = {}
@@ -156,7 +197,9 @@ class _Book:
         concerned = (rays.hits + rays.crossed)[first : first + len(self.points)] > 0
         if evidence is not None:
             self.alone = evidence.alone
-            self.cells, values, self._quantities = evidence.cells, evidence.quantities, evidence.quantities
+            self.cells = evidence.cells
+            values = evidence.quantities
+            self._quantities = evidence.quantities
             self._verdict.add(evidence)
             self.over = self._verdict.final
             held = {rule.name: rule.holds() for rule in evidence.rules}
@@ -170,7 +213,9 @@ class _Book:
                 concerned |= ~np.isnan(quantity.values)
             for step in quantity.steps:
                 concerned |= step.applies
-        for k in range(len(concerned)) if frame == self._frame else np.flatnonzero(concerned).tolist():
+        for k in (
+            range(len(concerned)) if frame == self._frame else np.flatnonzero(concerned).tolist()
+        ):
             self._entries[k].append(
                 LedgerEntry(
                     frame,
@@ -189,14 +234,17 @@ class _Book:
         if evidence is not None:
             self._verdict.add(evidence)
         self.over = self.over or online
-        self._dynamic, self._codes = labelled.dynamic[self.asked.rows], labelled.reasons[self.asked.rows]
+        self._dynamic = labelled.dynamic[self.asked.rows]
+        self._codes = labelled.reasons[self.asked.rows]
 
     def closed(self, info: MethodInfo) -> tuple[PointLedger, ...]:
         """The ledgers; raises PluginError if the method's evidence contradicts its labels."""
-        held, verdict = self._verdict.held(), self._verdict.dynamic()
+        held = self._verdict.held()
+        verdict = self._verdict.dynamic()
         if verdict is not None and (wrong := np.flatnonzero(verdict != self._dynamic)).size:
             raise PluginError(
-                f"{info.name}: its evidence contradicts the label of point {self.asked.rows[wrong[0]]} of frame "
+                f"{info.name}: its evidence contradicts the label of point "
+                f"{self.asked.rows[wrong[0]]} of frame "
                 f"{self._frame}. Check the method with dynaviz.testing.check_method"
             )
         rules = [(rule, *self._deciding(rule)) for rule in self._verdict.rules]
@@ -206,13 +254,20 @@ class _Book:
                 frame=self._frame,
                 index=self.asked.scan.index,
                 point=int(self.asked.rows[k]),
-                position=(float(self.points[k, 0]), float(self.points[k, 1]), float(self.points[k, 2])),
-                truth=None if self._truth is None else TRUTH.get(Label(self._truth[self.asked.rows[k]])),
+                position=(
+                    float(self.points[k, 0]),
+                    float(self.points[k, 1]),
+                    float(self.points[k, 2]),
+                ),
+                truth=None
+                if self._truth is None
+                else TRUTH.get(Label(self._truth[self.asked.rows[k]])),
                 removed=bool(self._dynamic[k]),
                 reason=info.reasons[self._codes[k]],
                 verdict=None if verdict is None else bool(verdict[k]),
                 rules=tuple(
-                    RuleValue(rule.name, terms(k), bool(held[rule.name][k]), frames[k]) for rule, terms, frames in rules
+                    RuleValue(rule.name, terms(k), bool(held[rule.name][k]), frames[k])
+                    for rule, terms, frames in rules
                 ),
                 quantities=quantities,
                 entries=tuple(self._entries[k]),
@@ -222,30 +277,42 @@ class _Book:
         )
 
     def _changes(self, values: Sequence[Quantity]) -> dict[str, F64]:
-        """What a scan added to the quantities that accumulate, (K,) each; 0 where it left them or they are unknown."""
+        """What a scan added to the quantities that accumulate, (K,) each.
+
+        0 where it left them or they are unknown.
+        """
         changes = {}
         for quantity in values:
             if quantity.total:
-                now, before = quantity.values, self._totals.setdefault(quantity.name, np.zeros(len(self.points)))
+                now = quantity.values
+                before = self._totals.setdefault(quantity.name, np.zeros(len(self.points)))
                 known = ~np.isnan(now)
                 changes[quantity.name] = np.where(known, now - before, 0.0)
                 before[known] = now[known]
         return changes
 
     def _compare(self, evidence: Evidence, frame: int) -> None:
-        """Keep the terms of lasting rules at the points to which this scan came closer than all before it."""
+        """Keep the terms of lasting rules at the points to which this scan came closer than all
+        before it.
+        """
         for rule in evidence.rules:
             if rule.lasting:
                 numbers = _Numbers(rule)
                 best = self._best.setdefault(rule.name, _Best(len(self.points)))
                 count, gap = numbers.closeness()
                 closer = (count > best.count) | ((count == best.count) & (gap > best.gap))
-                best.count[closer], best.gap[closer] = count[closer], gap[closer]
+                best.count[closer] = count[closer]
+                best.gap[closer] = gap[closer]
                 for k in np.flatnonzero(closer).tolist():
-                    best.frames[k], best.terms[k] = frame, numbers.terms(k)
+                    best.frames[k] = frame
+                    best.terms[k] = numbers.terms(k)
 
-    def _deciding(self, rule: Rule) -> tuple[Callable[[int], tuple[TermValue, ...]], Sequence[int | None]]:
-        """By point, the terms of a rule with the numbers that decided, and the frame of the scan that set them."""
+    def _deciding(
+        self, rule: Rule
+    ) -> tuple[Callable[[int], tuple[TermValue, ...]], Sequence[int | None]]:
+        """By point, the terms of a rule with the numbers that decided, and the frame of the scan
+        that set them.
+        """
         if (best := self._best.get(rule.name)) is not None:
             return best.terms.__getitem__, best.frames
         return _Numbers(rule).terms, [None] * len(self.points)
@@ -260,7 +327,8 @@ class _Best:
     """
 
     def __init__(self, points: int) -> None:
-        self.count, self.gap = np.full(points, -1), np.zeros(points)
+        self.count = np.full(points, -1)
+        self.gap = np.zeros(points)
         self.frames: list[int | None] = [None] * points
         self.terms: list[tuple[TermValue, ...]] = [()] * points
 
@@ -279,15 +347,27 @@ class _Numbers:
         """The terms of a point."""
         return tuple(
             TermValue(
-                term.name, _plain(values[k]), term.test, float(limits[k]), term.unit, bool(holds[k]), term.parameter
+                term.name,
+                _plain(values[k]),
+                term.test,
+                float(limits[k]),
+                term.unit,
+                bool(holds[k]),
+                term.parameter,
             )
             for term, values, limits, holds in self._terms
         )
 
     def closeness(self) -> tuple[I64, F64]:
-        """Number of terms that hold, and minus the distance of the others from their thresholds; larger is closer."""
+        """Number of terms that hold, and minus the distance of the others from their thresholds.
+
+        Larger is closer.
+        """
         holds = np.array([holds for *_, holds in self._terms])
-        gaps = [np.where(np.isnan(values), np.inf, np.abs(values - limits)) for _, values, limits, _ in self._terms]
+        gaps = [
+            np.where(np.isnan(values), np.inf, np.abs(values - limits))
+            for _, values, limits, _ in self._terms
+        ]
         return holds.sum(0), -np.where(holds, 0.0, gaps).sum(0)
 
 

@@ -1,4 +1,7 @@
-"""The loop: sequence x labeller x listeners -> Result. Two passes, or one in online mode; only the method is timed."""
+"""The loop: sequence x labeller x listeners -> Result. Two passes, or one in online mode.
+
+Only the method is timed.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,8 @@ class RunSpec:
     """What to run.
 
     Attributes:
-        labeller: a fresh method, which already has its parameters; or the output of another program.
+        labeller: a fresh method, which already has its parameters; or the output of another
+            program.
         sequence: what to run it on.
         params: the labeller's parameters, a dataclass; for a method an instance of its ``Params``.
         metrics: fresh metrics.
@@ -85,7 +89,10 @@ class RunSpec:
 
     @property
     def method(self) -> Method | None:
-        """The labeller if it is a method, which observes scans and is timed; None for another program's output."""
+        """The labeller if it is a method, which observes scans and is timed.
+
+        None for another program's output.
+        """
         return self.labeller if isinstance(self.labeller, Method) else None
 
 
@@ -134,7 +141,8 @@ class Clock:
     def runtime(self, threads: int) -> Runtime:
         """Mean and standard deviation over frames, as in the paper's runtime table."""
         seconds = np.array(self.frames)
-        mean, std = float(seconds.mean()), float(seconds.std())
+        mean = float(seconds.mean())
+        std = float(seconds.std())
         return Runtime(mean, std, len(seconds), self.prepared, threads, peak_rss_mb())
 
 
@@ -162,13 +170,25 @@ def execute(
         PluginError: for a method whose labels have the wrong type or shape.
         DataError: for data that cannot be read.
     """
-    listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
-    counts, removed, not_finite, at_sensor = array("q"), 0, 0, 0
-    labeller, method, threads = run.labeller, run.method, kernels.set_threads(run.threads)
+    listeners = tuple(listeners)
+    total = len(run.sequence)
+    clock = Clock()
+    answer = PackedBits()
+    counts = array("q")
+    removed = 0
+    not_finite = 0
+    at_sensor = 0
+    labeller = run.labeller
+    method = run.method
+    threads = kernels.set_threads(run.threads)
     summary = run.summary or summarize(
-        run.sequence, lambda done: progress("survey", done, total), PoseNoiseMeter(len(run.sequence))
+        run.sequence,
+        lambda done: progress("survey", done, total),
+        PoseNoiseMeter(len(run.sequence)),
     )
-    near, info, updates = AtSensor(run.sequence.sensor), labeller.info, Updates(run.metrics)
+    near = AtSensor(run.sequence.sensor)
+    info = labeller.info
+    updates = Updates(run.metrics)
     if method:
         _warm_up(method, run, probe)
     clock.prepare(lambda: labeller.begin(context_of(run, summary, probe)))
@@ -190,7 +210,8 @@ def execute(
         answer.append(labelled.dynamic)
         counts.append(len(scan))
         finite = all_finite(scan.points)
-        removed, not_finite = removed + int((labelled.dynamic & finite).sum()), not_finite + int((~finite).sum())
+        removed = removed + int((labelled.dynamic & finite).sum())
+        not_finite = not_finite + int((~finite).sum())
         at_sensor += int(np.count_nonzero(labelled.reasons == info.reasons.index(AT_SENSOR)))
         curves = updates.update(labelled)
         for listener in listeners:
@@ -203,10 +224,13 @@ def execute(
                 step(frame, scan)
 
     # Before the metrics finish: the memory they need then is not the method's.
-    runtime = clock.runtime(threads) if method else getattr(labeller, "runtime", Runtime(frames=total))
+    runtime = (
+        clock.runtime(threads) if method else getattr(labeller, "runtime", Runtime(frames=total))
+    )
     sections = msgspec.structs.replace(_sections(run.metrics), **more())
     labels = RunLabels(answer.packed(), np.array(counts, np.int64))
-    unposed, judged = sum(each.number for each in unposed_of(run.sequence)), sum(counts) - not_finite
+    unposed = sum(each.number for each in unposed_of(run.sequence))
+    judged = sum(counts) - not_finite
     account = PointAccount(
         points=sum(counts) + unposed,
         kept=judged - removed,
@@ -216,14 +240,18 @@ def execute(
     )
     answers = RunAnswers(run.sequence, labels, run.folder, run.recording)
     instrumented = method is not None and probe is not SILENT
-    result = _result(run, summary, at_sensor, sections, runtime, answers, account, answer.sha256(), instrumented)
+    result = _result(
+        run, summary, at_sensor, sections, runtime, answers, account, answer.sha256(), instrumented
+    )
     figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
     for listener in listeners:
         listener.finish(result, figures)
     return result
 
 
-def labelled_by(run: RunSpec, near: AtSensor, frame: int, scan: Scan, call: Callable[[Scan], Any]) -> Labelled:
+def labelled_by(
+    run: RunSpec, near: AtSensor, frame: int, scan: Scan, call: Callable[[Scan], Any]
+) -> Labelled:
     """A scan with the labels that a call returns for the scan as methods receive it.
 
     Raises:
@@ -248,15 +276,29 @@ def _passes(run: RunSpec, observe: Step, label: Step) -> list[list[Step]]:
 
 
 def _check(method: str, labels: Any, points: int) -> None:
-    """Reject labels of another type: integers would select points by number where files are written."""
+    """Reject labels of another type.
+
+    Integers would select points by number where files are written.
+    """
     if not isinstance(labels, Labels):
         expected = "dynaviz.contracts.method.Labels"
-        raise PluginError(f"{method}: label() returned {type(labels).__name__}, not {expected}. {_KIT}")
-    for name, values, dtype in (("dynamic", labels.dynamic, np.bool_), ("reasons", labels.reasons, np.uint8)):
+        raise PluginError(
+            f"{method}: label() returned {type(labels).__name__}, not {expected}. {_KIT}"
+        )
+    for name, values, dtype in (
+        ("dynamic", labels.dynamic, np.bool_),
+        ("reasons", labels.reasons, np.uint8),
+    ):
         if not isinstance(values, np.ndarray) or values.dtype != dtype or values.shape != (points,):
-            found = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
+            found = (
+                f"{values.dtype} {values.shape}"
+                if isinstance(values, np.ndarray)
+                else type(values).__name__
+            )
             expected = f"{np.dtype(dtype)} ({points},)"
-            raise PluginError(f"{method}: label() returned {name} as {found}, not {expected}. {_KIT}")
+            raise PluginError(
+                f"{method}: label() returned {name} as {found}, not {expected}. {_KIT}"
+            )
 
 
 _KIT = "Check the method with dynaviz.testing.check_method"
@@ -265,7 +307,9 @@ _KIT = "Check the method with dynaviz.testing.check_method"
 def _sections(metrics: Iterable[Metric]) -> Sections:
     sections = Sections()
     try:
-        for metric in metrics:  # one by one, because plain values of many frames need much more memory
+        for (
+            metric
+        ) in metrics:  # one by one, because plain values of many frames need much more memory
             sections = sections.joined(metric.finish())
     except msgspec.ValidationError as error:
         raise PluginError(f"a metric returned an invalid section: {error}") from None
@@ -287,7 +331,9 @@ def _result(
     return Result(
         method=name,
         parameters=dataclasses.asdict(run.params),
-        sequence=SequenceInfo(run.sequence.name, summary.digest, summary.frames, summary.points, at_sensor),
+        sequence=SequenceInfo(
+            run.sequence.name, summary.digest, summary.frames, summary.points, at_sensor
+        ),
         sections=sections,
         runtime=runtime,
         online=run.online,
@@ -317,15 +363,19 @@ def context_of(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
     Raises:
         UsageError: for a sequence with too many points for the method.
     """
-    info, raw_map = run.labeller.info, None
+    info = run.labeller.info
+    raw_map = None
     if info.needs_map:
         if summary.points > MAX_MAP_POINTS:
             raise UsageError(
-                f"{info.name} needs the map of all scans, at most {MAX_MAP_POINTS:,} points: {run.sequence.name} has "
-                f"{summary.points:,} in {summary.frames:,} frames. Use fewer with --frames A:B or --stride N"
+                f"{info.name} needs the map of all scans, at most {MAX_MAP_POINTS:,} points: "
+                f"{run.sequence.name} has "
+                f"{summary.points:,} in {summary.frames:,} frames. Use fewer with --frames A:B or "
+                "--stride N"
             )
         raw_map = np.empty((summary.points, 3), np.float32)
-        end, near = 0, AtSensor(run.sequence.sensor)
+        end = 0
+        near = AtSensor(run.sequence.sensor)
         for scan in stream(run.sequence):
             raw_map[end : end + len(scan)] = near.hidden(scan)[0].points
             end += len(scan)
@@ -340,7 +390,9 @@ def of_one_scan(run: RunSpec, probe: Probe = SILENT) -> tuple[Scan, Context]:
 
 
 def _warm_up(method: Method, run: RunSpec, probe: Probe) -> None:
-    """Run a copy of the method on one scan, so that loading and compiling of kernels counts in no frame's time."""
+    """Run a copy of the method on one scan, so that loading and compiling of kernels counts in no
+    frame's time.
+    """
     scan, context = of_one_scan(run, SILENT if probe is SILENT else MemoryProbe())
     copy = type(method)(run.params)
     copy.begin(context)

@@ -13,7 +13,8 @@ from dynaviz.sources.sensing import with_needed_facts
 
 
 def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:
-    """The sequence, with estimates in place of facts of the sensor that the method needs or uses and that are unknown.
+    """The sequence, with estimates in place of facts of the sensor that the method needs or uses
+    and that are unknown.
 
     What carries the sensor is estimated, too, so that no method sees it.
 

@@ -28,19 +28,24 @@ class LabelsFile(Listener):
     """Writes ``labels.npz``.
 
     ``dynamic``: one bit per point in the order of the sequence, 1 if the method removed it
-    (``np.unpackbits(z["dynamic"])[: z["points"].sum()]``); ``points``: (frames,) int64 points of each frame;
-    ``frames``: (frames,) int64 numbers of the frames; ``reasons``: (points,) uint8 codes; ``reason_names``: their
-    legend; ``sequence_digest`` and ``labels_sha256``: digests of the sequence and of the labels.
+    (``np.unpackbits(z["dynamic"])[: z["points"].sum()]``); ``points``: (frames,) int64 points of
+    each frame; ``frames``: (frames,) int64 numbers of the frames; ``reasons``: (points,) uint8
+    codes; ``reason_names``: their legend; ``sequence_digest`` and ``labels_sha256``: digests of the
+    sequence and of the labels.
     """
 
     def __init__(self, folder: Path):
-        self._path, self._stack = folder / "labels.npz", contextlib.ExitStack()
-        self._points, self._frames = array("q"), array("q")
+        self._path = folder / "labels.npz"
+        self._stack = contextlib.ExitStack()
+        self._points = array("q")
+        self._frames = array("q")
 
     def __enter__(self) -> LabelsFile:
         with contextlib.ExitStack() as stack:
             file = stack.enter_context(atomic_file(self._path))
-            self._zip = stack.enter_context(zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1))
+            self._zip = stack.enter_context(
+                zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
+            )
             self._stack = stack.pop_all()
         return self
 
@@ -51,7 +56,9 @@ class LabelsFile(Listener):
         """Write the legend, and open the array of reasons, which is written frame by frame."""
         self._put("sequence_digest", np.array(summary.digest))
         self._put("reason_names", np.array([reason.name for reason in run.labeller.info.reasons]))
-        self._reasons: IO[bytes] = self._stack.enter_context(self._zip.open("reasons.npy", "w", force_zip64=True))
+        self._reasons: IO[bytes] = self._stack.enter_context(
+            self._zip.open("reasons.npy", "w", force_zip64=True)
+        )
         head = {"descr": "|u1", "fortran_order": False, "shape": (summary.points,)}
         np.lib.format.write_array_header_1_0(self._reasons, head)
 
@@ -75,16 +82,23 @@ class LabelsFile(Listener):
 
 
 class RemoveStaleOutputs(Listener):
-    """Removes files of an earlier run at the end of this one. Put it before the listeners that write.
+    """Removes files of an earlier run at the end of this one.
 
-    It removes the files whose presence means something: ``result.json`` and ``config.toml``, which are written last,
-    ``run.rrd`` if this run's recording is written elsewhere, and maps if this run writes none. A run that fails leaves
-    the earlier files untouched.
+    Put it before the listeners that write.
+
+    It removes the files whose presence means something: ``result.json`` and ``config.toml``, which
+    are written last, ``run.rrd`` if this run's recording is written elsewhere, and maps if this run
+    writes none. A run that fails leaves the earlier files untouched.
     """
 
     def __init__(self, folder: Path, recording: Path | None, maps: bool = True):
         own = recording is not None and recording.resolve() == (folder / "run.rrd").resolve()
-        stale = ("result.json", "config.toml", *(() if own else ("run.rrd",)), *(() if maps else FILES[1:]))
+        stale = (
+            "result.json",
+            "config.toml",
+            *(() if own else ("run.rrd",)),
+            *(() if maps else FILES[1:]),
+        )
         self._paths = [folder / name for name in stale]
 
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
@@ -94,11 +108,13 @@ class RemoveStaleOutputs(Listener):
 
 
 class MapFiles(Listener):
-    """Writes ``static_map.pcd`` (kept points) and ``dynamic_points.pcd`` (removed points), of the finite ones.
+    """Writes ``static_map.pcd`` (kept points) and ``dynamic_points.pcd`` (removed points), of the
+    finite ones.
 
     Args:
         folder: the folder.
-        origin: (3,) float64, metres: added to all points, which are then float64, if it is not zero.
+        origin: (3,) float64, metres: added to all points, which are then float64, if it is not
+            zero.
     """
 
     def __init__(self, folder: Path, origin: F64 | None = None):
@@ -126,7 +142,9 @@ class MapFiles(Listener):
 
 
 def write_summary(folder: Path, run: RunSpec, result: Result) -> None:
-    """Write ``config.toml`` and ``result.json``; the latter last: it exists only if the run is complete.
+    """Write ``config.toml`` and ``result.json``; the latter last.
+
+    It exists only if the run is complete.
 
     The output of another program has no ``config.toml``.
     """

@@ -15,14 +15,18 @@ HELD = 1 << 23  # bytes in memory; more are stored in a temporary file
 
 
 class PackedBits:
-    """Booleans appended frame by frame, packed without gaps: ``np.unpackbits(packed)[:n]`` gives them back.
+    """Booleans appended frame by frame, packed without gaps.
+
+    ``np.unpackbits(packed)[:n]`` gives them back.
 
     Args:
-        held: bytes in memory; more are stored in a temporary file, deleted when nothing uses it any more.
+        held: bytes in memory; more are stored in a temporary file, deleted when nothing uses it any
+            more.
     """
 
     def __init__(self, held: int = HELD) -> None:
-        self._bytes, self._held = bytearray(), held
+        self._bytes = bytearray()
+        self._held = held
         self._file: IO[bytes] | None = None
         self._rest: Bool = np.empty(0, np.bool_)
         self._digest = hashlib.sha256()
@@ -39,7 +43,10 @@ class PackedBits:
             self._store()
 
     def packed(self) -> U8:
-        """All bits so far, the last byte filled up with zeros; read from the file as needed if there is one."""
+        """All bits so far, the last byte filled up with zeros.
+
+        Read from the file as needed if there is one.
+        """
         rest = np.packbits(self._rest).tobytes()
         if self._file is None:
             return np.frombuffer(bytes(self._bytes) + rest, np.uint8)

@@ -11,7 +11,10 @@ from dynaviz.contracts.method import Reason
 
 @dataclass(frozen=True, slots=True)
 class TermValue:
-    """A comparison with its numbers, such as ``log-odds -0.4 < 0``; fields as in ``contracts.evidence.Term``."""
+    """A comparison with its numbers, such as ``log-odds -0.4 < 0``.
+
+    Fields as in ``contracts.evidence.Term``.
+    """
 
     name: str
     value: float | None
@@ -28,8 +31,8 @@ class RuleValue:
 
     Attributes:
         name: as in ``dynaviz.contracts.evidence.Rule``.
-        terms: with the numbers that decided. For a rule that one scan may fulfil: those of the first scan that did, or
-            of the scan that came closest.
+        terms: with the numbers that decided. For a rule that one scan may fulfil: those of the
+            first scan that did, or of the scan that came closest.
         holds: whether it removes the point.
         frame: position in the run of that scan; None for a rule that the last numbers decide.
     """
@@ -48,8 +51,10 @@ class LedgerEntry:
         frame, index: its position in the run, and its number in the data set.
         sensor: (x, y, z) metres, world frame: origin of its rays.
         range_m: from there to the point.
-        angle_deg: between these rays and the surface through the point; None if the point lies on no surface.
-        hits, crossed: number of its rays that end in the cell around the point, and that pass through it.
+        angle_deg: between these rays and the surface through the point; None if the point lies on
+            no surface.
+        hits, crossed: number of its rays that end in the cell around the point, and that pass
+            through it.
         behind_m: how far beyond the point the crossing rays end, median; None without any.
         values: quantities of the method after this scan; None where it has none.
         changes: what the scan added to those quantities that accumulate.
@@ -102,7 +107,8 @@ class PointLedger:
     """Why a point got its label.
 
     Attributes:
-        frame, index, point: position in the run, number of the frame in the data set, row in the scan.
+        frame, index, point: position in the run, number of the frame in the data set, row in the
+            scan.
         position: (x, y, z) metres, world frame.
         truth: ``static``, ``dynamic``, or None without ground truth.
         removed: the label.
@@ -112,7 +118,8 @@ class PointLedger:
         quantities: what ``entries`` list.
         entries: by frame.
         searched: number of scans searched.
-        case: number of the case of which a recording stores it; None if it is not stored, and in earlier recordings.
+        case: number of the case of which a recording stores it; None if it is not stored, and in
+            earlier recordings.
     """
 
     frame: int

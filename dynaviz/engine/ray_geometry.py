@@ -1,4 +1,7 @@
-"""The rays of a scan that touch points: which, from where, at which angle, and how far they go on."""
+"""The rays of a scan that touch points.
+
+Which, from where, at which angle, and how far they go on.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,8 @@ class Touching:
 
     Attributes:
         hits, crossed: (K,) int64, number of rays that end in each cell, and that pass through it.
-        origins: (K, 3) float64, metres, world frame: origin of the first ray that touches it, or of the scan.
+        origins: (K, 3) float64, metres, world frame: origin of the first ray that touches it, or of
+            the scan.
         lengths: (K,) float64, metres, of the rays that pass through it, median; NaN without any.
     """
 
@@ -35,27 +39,40 @@ class Touching:
         """The rays that touch (K, 2, 3) cells."""
         rays, found, ends = _touched(scan, cells)
         order = np.lexsort((rays, ~ends, found))  # of each cell, first those that end in it
-        rays, found, ends = rays[order], found[order], ends[order]
-        hits, crossed = (np.bincount(found[chosen], minlength=len(cells)) for chosen in (ends, ~ends))
-        origins, one = np.repeat(scan.origins[:1], len(cells), 0), len(scan.origins) == 1
+        rays = rays[order]
+        found = found[order]
+        ends = ends[order]
+        hits, crossed = (
+            np.bincount(found[chosen], minlength=len(cells)) for chosen in (ends, ~ends)
+        )
+        origins = np.repeat(scan.origins[:1], len(cells), 0)
+        one = len(scan.origins) == 1
         if not one and len(found):
             touched, first = np.unique(found, return_index=True)
             origins[touched] = scan.origins[rays[first]]
-        passing, of_cell = rays[~ends], found[~ends]
+        passing = rays[~ends]
+        of_cell = found[~ends]
         from_sensor = scan.points[passing] - (scan.origins if one else scan.origins[passing])
         away = np.linalg.norm(from_sensor, axis=1)
         away = away[np.lexsort((away, of_cell))]
-        lengths, some = np.full(len(cells), np.nan), np.flatnonzero(crossed)
-        first, half = (np.cumsum(crossed) - crossed)[some], crossed[some] // 2
+        lengths = np.full(len(cells), np.nan)
+        some = np.flatnonzero(crossed)
+        first = (np.cumsum(crossed) - crossed)[some]
+        half = crossed[some] // 2
         lengths[some] = (away[first + half] + away[first + crossed[some] - 1 - half]) / 2
         return cls(hits, crossed, origins, lengths)
 
     def seen(self, k: int, point: F32, normal: F64) -> Geometry:
-        """Origin, range, angle, numbers of rays, and how far crossing rays go on, as in ``LedgerEntry``."""
+        """Origin, range, angle, numbers of rays, and how far crossing rays go on, as in
+        ``LedgerEntry``.
+        """
         ray = point - self.origins[k]
-        away, angle, behind = math.sqrt(ray @ ray), float(angles(ray[None], normal[None])[0]), float(self.lengths[k])
+        away = math.sqrt(ray @ ray)
+        angle = float(angles(ray[None], normal[None])[0])
+        behind = float(self.lengths[k])
         x, y, z = self.origins[k].tolist()
-        hits, crossed = int(self.hits[k]), int(self.crossed[k])
+        hits = int(self.hits[k])
+        crossed = int(self.crossed[k])
         return (
             (x, y, z),
             away,
@@ -75,14 +92,18 @@ def _touched(scan: Scan, cells: F64) -> tuple[I64, I64, Bool]:
     order = np.lexsort(cubes.T)
     edges = np.flatnonzero((cubes[order[1:]] != cubes[order[:-1]]).any(1)) + 1
     starts = np.concatenate([[0], edges, [len(cells)]])
-    groups, threads = len(starts) - 1, kernels.threads_in_use()
-    size = -(-groups // (threads * -(-groups // (threads * kernels.witnesses.MOST))))  # as many for each thread
+    groups = len(starts) - 1
+    threads = kernels.threads_in_use()
+    # as many for each thread
+    size = -(-groups // (threads * -(-groups // (threads * kernels.witnesses.MOST))))
 
     def search(first: int) -> tuple[I64, I64, Bool]:
         some = starts[first : first + size + 1]
         mine = order[some[0] : some[-1]]
         low, high = (np.ascontiguousarray(cells[mine, side]) for side in (0, 1))
-        rays, boxes, ends = kernels.witnesses.touched(scan.points, scan.origins, some - some[0], low, high)
+        rays, boxes, ends = kernels.witnesses.touched(
+            scan.points, scan.origins, some - some[0], low, high
+        )
         return rays, mine[boxes], ends
 
     found = kernels.each(search, range(0, groups, size))

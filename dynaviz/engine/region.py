@@ -12,7 +12,10 @@ from dynaviz.arrays import F64, Bool
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import open_file
 
-_HINT = "Give X0,Y0,X1,Y1 or X0,Y0,Z0,X1,Y1,Z1 for a box, or a file with a corner of the polygon per line (X Y)"
+_HINT = (
+    "Give X0,Y0,X1,Y1 or X0,Y0,Z0,X1,Y1,Z1 for a box, or a file with a corner of the polygon per "
+    "line (X Y)"
+)
 
 
 def _corners(path: Path) -> F64:
@@ -44,7 +47,8 @@ class Region:
 
     @classmethod
     def parse(cls, text: str) -> Region:
-        """Read ``X0,Y0,X1,Y1`` (all heights), ``X0,Y0,Z0,X1,Y1,Z1``, or a file with a corner ``X Y`` per line.
+        """Read ``X0,Y0,X1,Y1`` (all heights), ``X0,Y0,Z0,X1,Y1,Z1``, or a file with a corner ``X
+        Y`` per line.
 
         Raises:
             UsageError: for anything else.
@@ -59,15 +63,18 @@ class Region:
         if len(numbers) not in (4, 6) or not np.isfinite(numbers).all():
             raise UsageError(f"--region {text}: has {len(numbers)} numbers. {_HINT}")
         corners = numbers.reshape(2, -1)
-        low, high = np.full(3, -np.inf), np.full(3, np.inf)
-        low[: corners.shape[1]], high[: corners.shape[1]] = corners.min(0), corners.max(0)
+        low = np.full(3, -np.inf)
+        high = np.full(3, np.inf)
+        low[: corners.shape[1]] = corners.min(0)
+        high[: corners.shape[1]] = corners.max(0)
         return cls(low, high)
 
     @classmethod
     def _of_corners(cls, path: str, corners: F64) -> Region:
         if len(corners) < 3:
             raise UsageError(f"--region {path}: a polygon needs at least 3 corners. {_HINT}")
-        low, high = np.append(corners.min(0), -np.inf), np.append(corners.max(0), np.inf)
+        low = np.append(corners.min(0), -np.inf)
+        high = np.append(corners.max(0), np.inf)
         return cls(low, high, corners)
 
     def contains(self, xyz: F64) -> Bool:
@@ -81,7 +88,10 @@ class Region:
 
 
 def _in_polygon(x: F64, y: F64, corners: F64) -> Bool:
-    """(N,) bool: which points are in a polygon: a line from there along x crosses its edges an odd number of times."""
+    """(N,) bool: which points are in a polygon.
+
+    A line from there along x crosses its edges an odd number of times.
+    """
     inside: Bool = np.zeros(len(x), np.bool_)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, 1, axis=0), strict=True):
         if y0 != y1:

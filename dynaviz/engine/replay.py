@@ -29,7 +29,8 @@ def replay(
         asked: frames with rows of their scans; a frame may occur several times.
 
     Returns:
-        For each of ``asked`` the ledgers of its points; and the seconds that a whole run takes without any.
+        For each of ``asked`` the ledgers of its points; and the seconds that a whole run takes
+        without any.
 
     Raises:
         PluginError: if the evidence of the method contradicts its labels.
@@ -39,7 +40,8 @@ def replay(
     for frame, points in asked:
         if points:
             rows.setdefault(frame, []).extend(points)
-    ledger, run = Ledger(rows), dataclasses.replace(run, metrics=(), summary=summary)
+    ledger = Ledger(rows)
+    run = dataclasses.replace(run, metrics=(), summary=summary)
     if run.method:
         seconds = _repeat(run, ledger, rows, ledger.needed)
         ledger.finish()
@@ -48,14 +50,21 @@ def replay(
         execute(run, [ledger])
         seconds = time.perf_counter() - begin
     left = {frame: iter(found) for frame, found in ledger.ledgers.items()}
-    return [tuple(next(left[frame]) for _ in points) for frame, points in asked], summary.seconds + seconds
+    return [
+        tuple(next(left[frame]) for _ in points) for frame, points in asked
+    ], summary.seconds + seconds
 
 
-def _repeat(run: RunSpec, listener: Listener, frames: Iterable[int], needed: Callable[[Scan], Intp | None]) -> float:
-    """Let the method of a run observe all scans again, for a listener; only some of them are labelled.
+def _repeat(
+    run: RunSpec, listener: Listener, frames: Iterable[int], needed: Callable[[Scan], Intp | None]
+) -> float:
+    """Let the method of a run observe all scans again, for a listener.
+
+    Only some of them are labelled.
 
     Args:
-        run: of a method, which forgets what it knows, and then knows it again; with the summary of its sequence.
+        run: of a method, which forgets what it knows, and then knows it again; with the summary of
+            its sequence.
         listener: notified of all scans, and of the labels of some; it gets no curves and no result.
         frames: those to label.
         needed: rows of a scan that the method has to observe, if it is not labelled; None for all.
@@ -66,11 +75,15 @@ def _repeat(run: RunSpec, listener: Listener, frames: Iterable[int], needed: Cal
     Raises:
         PluginError, DataError: as ``execute``.
     """
-    method, summary, near = run.method, run.summary, AtSensor(run.sequence.sensor)
+    method = run.method
+    summary = run.summary
+    near = AtSensor(run.sequence.sensor)
     assert method is not None
     assert summary is not None
-    clock, total = Clock(), len(run.sequence)
-    # From the first on, as in a run, so that no method takes the scan that it observed last for that of an online run.
+    clock = Clock()
+    total = len(run.sequence)
+    # From the first on, as in a run, so that no method takes the scan that it observed last for
+    # that of an online run.
     chosen = range(total) if run.online else sorted({0, *frames})
     kernels.set_threads(run.threads)
     method.begin(context_of(run, summary, SILENT))

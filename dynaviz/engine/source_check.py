@@ -1,4 +1,6 @@
-"""Checks of another program's output against the sequence, and the section ``source`` of the result."""
+"""Checks of another program's output against the sequence, and the section ``source`` of the
+result.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +20,25 @@ from dynaviz.io.atomic import open_file
 from dynaviz.scores.sections import Source
 from dynaviz.sources.summary import SequenceSummary
 
-_OTHER_FRAME = 1.0  # percent of static points near the map, below which map and sequence are in different frames
+# percent of static points near the map, below which map and sequence are in different frames
+_OTHER_FRAME = 1.0
 _SAMPLE = 50  # use every N-th static point for that check
 _LISTED = 8  # numbers of unanswered frames in a remark, at most
 
 
 class SourceCheck(Listener):
-    """Checks that a file fits the sequence before anything is written, and reports on it in the section ``source``.
+    """Checks that a file fits the sequence before anything is written, and reports on it in the
+    section ``source``.
 
     Counts the frames that it does not answer.
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._frames = path, 0
-        self._unanswered: list[tuple[int, int, int]] = []  # position in the run, number and points of a frame
+        self._path = path
+        self._frames = 0
+        self._unanswered: list[
+            tuple[int, int, int]
+        ] = []  # position in the run, number and points of a frame
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Count the frame."""
@@ -63,7 +70,8 @@ class SourceCheck(Listener):
             numbers = ", ".join(str(index) for _, index, _ in self._unanswered[:_LISTED])
             rest = ", ..." if len(self._unanswered) > _LISTED else ""
             yield (
-                f"{self._path.name}: has no labels for {len(self._unanswered):,} of {self._frames:,} frames "
+                f"{self._path.name}: has no labels for {len(self._unanswered):,} of "
+                f"{self._frames:,} frames "
                 f"({numbers}{rest}); their points are not scored"
             )
 
@@ -81,11 +89,15 @@ class LabelsCheck(SourceCheck):
 
 
 class FolderCheck(SourceCheck):
-    """Computes the digest of label files: that of the digests of all files used, in the order of frames."""
+    """Computes the digest of label files.
+
+    That of the digests of all files used, in the order of frames.
+    """
 
     def __init__(self, labels: LabelFolder) -> None:
         super().__init__(labels.path)
-        self._labels, self._digest = labels, hashlib.sha256()
+        self._labels = labels
+        self._digest = hashlib.sha256()
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Add the file of the frame."""
@@ -120,7 +132,9 @@ class MapCheck(SourceCheck):
         """Search some static points of the scan in the map."""
         if labelled.scan.labels is None:
             return
-        static = labelled.scan.points[np.flatnonzero(labelled.scan.labels == Label.STATIC)[::_SAMPLE]]
+        static = labelled.scan.points[
+            np.flatnonzero(labelled.scan.labels == Label.STATIC)[::_SAMPLE]
+        ]
         static = static[all_finite(static)]
         self._static += len(static)
         self._nearby += int(self._map.nearby(static).sum())
@@ -129,16 +143,21 @@ class MapCheck(SourceCheck):
         """File, digest, numbers of points, and remarks on anything unusual about the map."""
         share = 100 * self._nearby / self._static if self._static else None
         remarks = tuple(self._map_remarks(share))
-        return Source(self._path.name, self.sha256(), self._map.total, self._map.not_finite, share, remarks)
+        return Source(
+            self._path.name, self.sha256(), self._map.total, self._map.not_finite, share, remarks
+        )
 
     def _map_remarks(self, share: float | None) -> Iterator[str]:
-        name, total = self._path.name, self._map.total
+        name = self._path.name
+        total = self._map.total
         if dropped := self._map.not_finite:
             yield f"{name}: {dropped:,} of {total:,} points are not finite and are ignored"
         if share is not None and share < _OTHER_FRAME:
-            map_, sequence = _bounds(self._map.low, self._map.high), _bounds(self._extent.low, self._extent.high)
+            map_ = _bounds(self._map.low, self._map.high)
+            sequence = _bounds(self._extent.low, self._extent.high)
             yield (
-                f"{name}: only {share:.2g} % of the static points have a point of the map within 1 m, so it is "
+                f"{name}: only {share:.2g} % of the static points have a point of the map within 1 "
+                "m, so it is "
                 f"probably in another frame. The map spans {map_}; the sequence {sequence}. "
                 "Write the map in metres, in the world frame of the sequence"
             )
@@ -157,4 +176,7 @@ def _sha256(path: Path) -> str:
 
 
 def _bounds(low: F64, high: F64) -> str:
-    return " x ".join(f"{a:.4g}..{b:.4g}" for a, b in zip(low.tolist(), high.tolist(), strict=True)) + " m"
+    return (
+        " x ".join(f"{a:.4g}..{b:.4g}" for a, b in zip(low.tolist(), high.tolist(), strict=True))
+        + " m"
+    )

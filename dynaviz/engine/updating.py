@@ -13,7 +13,8 @@ class Updates:
     """Gives scans to metrics. Those that took longest so far begin first."""
 
     def __init__(self, metrics: Sequence[Metric]) -> None:
-        self._metrics, self._spent = metrics, [0.0] * len(metrics)
+        self._metrics = metrics
+        self._spent = [0.0] * len(metrics)
 
     def update(self, labelled: Labelled) -> dict[str, float]:
         """Add a scan to all metrics; the values to plot, in the order of the metrics.

@@ -1,4 +1,6 @@
-"""The explorer: a page on this machine with the cases of a run, the viewer, and why a clicked point got its label."""
+"""The explorer: a page on this machine with the cases of a run, the viewer, and why a clicked point
+got its label.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +12,28 @@ if TYPE_CHECKING:
     from dynaviz.scores.result import Result
 
 
-def explore(run: str | os.PathLike[str] | Result, *others: str | os.PathLike[str] | Result, port: int = 0) -> Explorer:
+def explore(
+    run: str | os.PathLike[str] | Result, *others: str | os.PathLike[str] | Result, port: int = 0
+) -> Explorer:
     """Open the explorer of a run, on this machine.
 
     In a notebook, the returned object shows the page; elsewhere open its ``url`` in a browser.
 
     Args:
-        run: its folder, ``result.json`` or ``run.rrd``; or a result, also of a run on arrays in this process. It
-            needs a recording with points.
+        run: its folder, ``result.json`` or ``run.rrd``; or a result, also of a run on arrays in
+            this process. It needs a recording with points.
         others: up to eight runs on the same frames, to compare.
         port: to listen on; 0 for any free port.
 
     Returns:
-        The running server: ``url`` is the address of the page, ``close()`` stops it. It also is a context manager.
+        The running server: ``url`` is the address of the page, ``close()`` stops it. It also is a
+        context manager.
 
     Raises:
-        DataError: for a recording that cannot be read, is of a run that did not finish, or contains no points.
-        UsageError: if the runs are of different sequences or too many, or for a result without a recording.
+        DataError: for a recording that cannot be read, is of a run that did not finish, or contains
+            no points.
+        UsageError: if the runs are of different sequences or too many, or for a result without a
+            recording.
         MissingDependency: without the packages of the extra ``explore``.
     """
     from dynaviz.explorer.answers import Explored

@@ -22,12 +22,22 @@ from dynaviz.explorer.reruns import Rerun
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.explorer.strip import strip, what_if
 from dynaviz.runs.explanation import Why, cause_at
-from dynaviz.runs.relabelling import LABELS, Box, Correction, Truth, correct, read_corrections, rescore
+from dynaviz.runs.relabelling import (
+    LABELS,
+    Box,
+    Correction,
+    Truth,
+    correct,
+    read_corrections,
+    rescore,
+)
 from dynaviz.views.read.focus import CASE, LAYOUTS, MAP
 from dynaviz.views.read.shot import LARGEST, shot
 from dynaviz.views.witnesses import TouchingRays, rays_of, spans_of_rays
 
-PNG, MP4, RRD = "image/png", "video/mp4", "application/octet-stream"
+PNG = "image/png"
+MP4 = "video/mp4"
+RRD = "application/octet-stream"
 SIZE = (1600, 900)  # of copied pictures, pixels
 CLIP_SIZE = (960, 640)
 THUMBNAIL = {"width": "168", "height": "108"}  # pixels
@@ -61,14 +71,18 @@ class Explored:
         for other in others:
             if other.result.sequence.digest != run.result.sequence.digest:
                 raise UsageError(
-                    f"{other.path} is from a different sequence than {run.path}. Compare runs of the same frames"
+                    f"{other.path} is from a different sequence than {run.path}. Compare runs of "
+                    "the same frames"
                 )
         self.runs = dict(zip(LETTERS, [run, *others], strict=False))
         self._cards = {letter: cards.cards(each) for letter, each in self.runs.items()}
         self._reruns: list[Rerun] = []
         self.compare: Callable[[ExploredRun, ExploredRun], str] = _unserved
-        self._ledgers, self._lock = Ledgers(self.runs), threading.Lock()
-        self._drawing = cache(lambda letter, *of: cards.picture(self.runs[letter], self._card(*of[:2]), of[2:]))
+        self._ledgers = Ledgers(self.runs)
+        self._lock = threading.Lock()
+        self._drawing = cache(
+            lambda letter, *of: cards.picture(self.runs[letter], self._card(*of[:2]), of[2:])
+        )
         self.answers: dict[str, Callable[[Query], Any]] = {
             "runs": self._overview,
             "click": self._click,
@@ -78,7 +92,10 @@ class Explored:
             "run": self._rerun_state,
             "rescored": self._rescored,
         }
-        self.changes: dict[str, Callable[[Query], Any]] = {"correct": self._correct, "run": self._rerun}
+        self.changes: dict[str, Callable[[Query], Any]] = {
+            "correct": self._correct,
+            "run": self._rerun,
+        }
         self.contents: dict[str, tuple[Callable[[Query], bytes], str]] = {
             "loading": (lambda query: self.runs[self._letter(query)].focus.loading(), RRD),
             "layout": (self._layout, RRD),
@@ -122,7 +139,9 @@ class Explored:
         run = self.runs[self._letter(query)]
         instance = _number(query, "instance") if "instance" in query else None
         position = np.array([_decimal(query, axis) for axis in "xyz"])
-        frame, point = run.clicked(query.get("entity", "").strip("/"), instance, _number(query, "frame"), position)
+        frame, point = run.clicked(
+            query.get("entity", "").strip("/"), instance, _number(query, "frame"), position
+        )
         return self._at(frame, point)
 
     def _point(self, query: Query) -> dict[str, Any]:
@@ -130,7 +149,10 @@ class Explored:
         return self._at(_number(query, "frame"), _number(query, "point"))
 
     def _at(self, frame: int, point: int) -> dict[str, Any]:
-        found = {letter: run.point(frame, point, self._corrections(run)) for letter, run in self.runs.items()}
+        found = {
+            letter: run.point(frame, point, self._corrections(run))
+            for letter, run in self.runs.items()
+        }
         commands = {
             letter: f"dynaviz why {shlex.quote(str(run.path))} --frame {frame} --point {point}"
             for letter, run in self.runs.items()
@@ -142,7 +164,9 @@ class Explored:
 
         With ``exact``, a stored ledger of a point near it is not enough.
         """
-        letter, frame, point = self._letter(query), _number(query, "frame"), _number(query, "point")
+        letter = self._letter(query)
+        frame = _number(query, "frame")
+        point = _number(query, "point")
         run = self.runs[letter]
         stored = run.stored(frame, point)
         if stored is not None and ("exact" not in query or not stored[1]):
@@ -152,11 +176,22 @@ class Explored:
             run.point(frame, point)  # or the replay would find out after a while
             return {"seconds": run.replay_s}
         answer = self._ledgers.ask(letter, frame, point)
-        return {"why": self._shown(letter, answer), "metres": 0.0} if isinstance(answer, Why) else answer
+        return (
+            {"why": self._shown(letter, answer), "metres": 0.0}
+            if isinstance(answer, Why)
+            else answer
+        )
 
     def _stored_why(self, run: ExploredRun, ledger: PointLedger) -> Why:
         result = run.result
-        return Why(result.method, run.title, result.sequence.name, result.online, ledger, cause_at(result, ledger))
+        return Why(
+            result.method,
+            run.title,
+            result.sequence.name,
+            result.online,
+            ledger,
+            cause_at(result, ledger),
+        )
 
     def _shown(self, letter: str, why: Why) -> dict[str, Any]:
         """A ledger as the page draws it."""
@@ -169,9 +204,14 @@ class Explored:
         }
 
     def _evidence(self, query: Query) -> dict[str, Any]:
-        """What points of a case have in common; empty if the recording stores no evidence on them."""
+        """What points of a case have in common.
+
+        Empty if the recording stores no evidence on them.
+        """
         letter = self._letter(query)
-        run, card, ledgers = self.runs[letter], self._card(letter, _number(query, "case")), self._chosen(letter, query)
+        run = self.runs[letter]
+        card = self._card(letter, _number(query, "case"))
+        ledgers = self._chosen(letter, query)
         if not ledgers:
             return {}
         return {
@@ -183,7 +223,10 @@ class Explored:
         }
 
     def _chosen(self, letter: str, query: Query) -> list[PointLedger]:
-        """The stored ledgers of a case; with ``points``, rows in the scan of its worst frame, those alone."""
+        """The stored ledgers of a case.
+
+        With ``points``, rows in the scan of its worst frame, those alone.
+        """
         ledgers = self.runs[letter].ledgers(_number(query, "case"))
         if "points" not in query:
             return list(ledgers)
@@ -213,16 +256,24 @@ class Explored:
         return {each.case: each.truth for each in found}
 
     def _correct(self, query: Query) -> dict[int, str]:
-        """Correct the ground truth of a case, or, without ``truth``, withdraw that; all corrections are returned."""
-        letter, truth = self._letter(query), query.get("truth")
-        run, card = self.runs[letter], self._card(letter, _number(query, "case"))
+        """Correct the ground truth of a case, or, without ``truth``, withdraw that.
+
+        All corrections are returned.
+        """
+        letter = self._letter(query)
+        truth = query.get("truth")
+        run = self.runs[letter]
+        card = self._card(letter, _number(query, "case"))
         if not run.result.has_truth:
             raise UsageError(f"{run.path} has no ground truth to correct")
         if truth is None:
             made = None
         elif truth in LABELS:
             made = Correction(
-                card.number, card.title, cast(Truth, truth), tuple(Box(*box) for box in cards.boxes(run, card))
+                card.number,
+                card.title,
+                cast(Truth, truth),
+                tuple(Box(*box) for box in cards.boxes(run, card)),
             )
         else:
             raise UsageError(f"truth {truth}: choose from {', '.join(LABELS)}")
@@ -236,10 +287,12 @@ class Explored:
 
     def _layout(self, query: Query) -> bytes:
         """The layout of a case, a frame or the map, as a recording."""
-        letter, kind = self._letter(query), query.get("layout", CASE)
+        letter = self._letter(query)
+        kind = query.get("layout", CASE)
         if kind not in LAYOUTS:
             raise UsageError(f"layout {kind}: choose from {', '.join(LAYOUTS)}")
-        run, focus = self.runs[letter], self.runs[letter].focus
+        run = self.runs[letter]
+        focus = self.runs[letter].focus
         # The case may be one of the other run: both viewers then show the same place.
         owner = query.get("owner", letter)
         if owner not in self.runs:
@@ -250,10 +303,16 @@ class Explored:
                 return focus.layout(MAP if kind == CASE else kind, "map", 0, low, high, None)
         card = self._card(owner, _number(query, "case"))
         eye = None if "x" not in query else np.array([_decimal(query, axis) for axis in "xyz"])
-        low, high = (np.array(card.case.low), np.array(card.case.high)) if kind == MAP else (card.low, card.high)
+        low, high = (
+            (np.array(card.case.low), np.array(card.case.high))
+            if kind == MAP
+            else (card.low, card.high)
+        )
         title = f"case {card.number}: {card.title}, frame {card.case.worst_frame}"
         with self._lock:
-            return focus.layout(kind, title, card.case.worst_frame, low, high, card.outcome, eye, "first" in query)
+            return focus.layout(
+                kind, title, card.case.worst_frame, low, high, card.outcome, eye, "first" in query
+            )
 
     def _marks(self, query: Query) -> bytes:
         """A mark at a point, and the rays of its ledger if that is known."""
@@ -264,20 +323,28 @@ class Explored:
             return focus.marks(None, rays_of(self._chosen(letter, query), CASE_RAYS), lit)
         if "point" not in query:
             return focus.marks(None, rays_of([]), None)
-        frame, point = _number(query, "frame"), _number(query, "point")
+        frame = _number(query, "frame")
+        point = _number(query, "point")
         at = self.runs[letter].point(frame, point)["position"]
-        return focus.marks(None if at is None else np.array(at), self._rays(letter, frame, point), lit)
+        return focus.marks(
+            None if at is None else np.array(at), self._rays(letter, frame, point), lit
+        )
 
     def _rays(self, letter: str, frame: int, point: int) -> TouchingRays:
         """The rays of the ledger of a point, if that is known."""
-        computed, stored = self._ledgers.known(letter, frame, point), self.runs[letter].stored(frame, point)
+        computed = self._ledgers.known(letter, frame, point)
+        stored = self.runs[letter].stored(frame, point)
         return rays_of([computed.ledger] if computed else [stored[0]] if stored else [])
 
     def _draw(self, query: Query) -> bytes:
         """The case in its worst frame, drawn at once, before the viewer has loaded."""
-        width, height = (min(max(_number({**THUMBNAIL, **query}, edge), 1), LARGEST) for edge in THUMBNAIL)
+        width, height = (
+            min(max(_number({**THUMBNAIL, **query}, edge), 1), LARGEST) for edge in THUMBNAIL
+        )
         letter = self._letter(query)
-        drawing: bytes = self._drawing(letter, query.get("owner", letter), _number(query, "case"), width, height)
+        drawing: bytes = self._drawing(
+            letter, query.get("owner", letter), _number(query, "case"), width, height
+        )
         return drawing
 
     def _shot(self, query: Query, name: str, size: tuple[int, int]) -> bytes:

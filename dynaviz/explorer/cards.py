@@ -1,4 +1,7 @@
-"""The cards of the explorer: each case of a run with its numbers, its wrong points by frame, and a thumbnail."""
+"""The cards of the explorer.
+
+Each case of a run with its numbers, its wrong points by frame, and a thumbnail.
+"""
 
 from __future__ import annotations
 
@@ -44,8 +47,8 @@ class Card:
         outcome: of its points.
         rows: (K,) its points in the run's ``wrong``.
         low, high: (3,) float64, metres, world frame: its box in its worst frame.
-        point: row in the scan of its worst frame: a wrong point in the middle of it, of those with stored evidence if
-            there are any; None if none was drawn.
+        point: row in the scan of its worst frame: a wrong point in the middle of it, of those with
+            stored evidence if there are any; None if none was drawn.
     """
 
     number: int
@@ -69,18 +72,25 @@ class Card:
 
 
 def cards(run: ExploredRun) -> list[Card]:
-    """The cases of a run: failures, costliest first, or without ground truth clusters, most suspicious first."""
+    """The cases of a run: failures, costliest first, or without ground truth clusters, most
+    suspicious first.
+    """
     cases: Sequence[FailureCase | RemovedCluster] = run.result.failures or run.result.clusters
     by_x = np.argsort(run.wrong.xyz[:, 0], kind="stable")
     x = run.wrong.xyz[by_x, 0].astype(np.float64)
     return [_card(run, number, case, by_x, x) for number, case in enumerate(cases, 1)]
 
 
-def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_x: I64, x: F64) -> Card:
-    """A card; ``x`` are the sorted coordinates of the run's wrong points, and ``by_x`` their rows."""
+def _card(
+    run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_x: I64, x: F64
+) -> Card:
+    """A card; ``x`` are the sorted coordinates of the run's wrong points, and
+    ``by_x`` their rows.
+    """
     outcome = OUTCOMES[case.kind] if isinstance(case, FailureCase) else Outcome.UNLABELLED_REMOVED
     wrong = run.wrong
-    low, high = np.array(case.low), np.array(case.high)
+    low = np.array(case.low)
+    high = np.array(case.high)
     rows = by_x[np.searchsorted(x, low[0] - MARGIN) : np.searchsorted(x, high[0] + MARGIN, "right")]
     for values, first, last in (
         (wrong.outcome, outcome, outcome),
@@ -94,14 +104,25 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_
     worst = rows[wrong.frame[rows] == case.worst_frame]
     if not len(worst):
         return Card(number, case, outcome, rows, low, high, None)
-    xyz, points = wrong.xyz[worst].astype(np.float64), wrong.point[worst]
+    xyz = wrong.xyz[worst].astype(np.float64)
+    points = wrong.point[worst]
     explained = np.isin(points, run.recording.explained(number))
     asked = np.flatnonzero(explained) if explained.any() else np.arange(len(points))
-    return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(points[asked[middle_of(xyz[asked])]]))
+    return Card(
+        number,
+        case,
+        outcome,
+        rows,
+        xyz.min(0),
+        xyz.max(0),
+        int(points[asked[middle_of(xyz[asked])]]),
+    )
 
 
 def pairs(run: ExploredRun, mine: Sequence[Card], others: Sequence[Card]) -> dict[int, int]:
-    """Cards of another run on the same objects, or on the same places with the same errors, by number of the card."""
+    """Cards of another run on the same objects, or on the same places with the same errors, by
+    number of the card.
+    """
     found: dict[int, int] = {}
     for card in mine:
         left = [other for other in others if other.number not in found.values()]
@@ -113,15 +134,26 @@ def pairs(run: ExploredRun, mine: Sequence[Card], others: Sequence[Card]) -> dic
 def _same(run: ExploredRun, card: Card, others: Sequence[Card]) -> int | None:
     case = card.case
     wrong = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == case.worst_frame]]
-    best, most = None, BOTH * len(wrong)
-    for number, other in ((other.number, other.case) for other in others if other.outcome == card.outcome):
-        if isinstance(case, FailureCase) and isinstance(other, FailureCase) and case.instance and other.instance:
+    best = None
+    most = BOTH * len(wrong)
+    for number, other in (
+        (other.number, other.case) for other in others if other.outcome == card.outcome
+    ):
+        if (
+            isinstance(case, FailureCase)
+            and isinstance(other, FailureCase)
+            and case.instance
+            and other.instance
+        ):
             if (case.class_, case.instance) == (other.class_, other.instance):
                 return number
         elif other.first_frame <= case.worst_frame <= other.last_frame:
-            inside = (wrong >= np.array(other.low) - MARGIN) & (wrong <= np.array(other.high) + MARGIN)
+            inside = (wrong >= np.array(other.low) - MARGIN) & (
+                wrong <= np.array(other.high) + MARGIN
+            )
             if (count := int(inside.all(1).sum())) > most:
-                best, most = number, count
+                best = number
+                most = count
     return best
 
 
@@ -176,12 +208,17 @@ def spark(run: ExploredRun, card: Card) -> list[int]:
     """Wrong points over all frames of the run, in at most ``BARS`` bins."""
     bins = min(run.frames, BARS)
     where = run.wrong.frame[card.rows] * bins // max(run.frames, 1)
-    counts: list[int] = np.bincount(where, run.wrong.stands_for[card.rows], bins).astype(int).tolist()
+    counts: list[int] = (
+        np.bincount(where, run.wrong.stands_for[card.rows], bins).astype(int).tolist()
+    )
     return counts
 
 
 def boxes(run: ExploredRun, card: Card) -> list[tuple[int, Corner, Corner]]:
-    """The box around the wrong points of a case in each of its frames: frame, low and high corner in metres."""
+    """The box around the wrong points of a case in each of its frames.
+
+    Frame, low and high corner in metres.
+    """
     found = []
     for frame in np.unique(run.wrong.frame[card.rows]).tolist():
         xyz = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == frame]].astype(float)
@@ -195,11 +232,16 @@ def wrong_in(run: ExploredRun, card: Card, shared: Mapping[str, Bool]) -> list[s
     Args:
         run: of the case.
         card: the case.
-        shared: by letter, for each of the run's ``wrong`` points, whether that run is wrong there, too.
+        shared: by letter, for each of the run's ``wrong`` points, whether that run is wrong there,
+            too.
     """
     weights = run.wrong.stands_for[card.rows]
     half = BOTH * weights.sum()
-    return [letter for letter, wrong in shared.items() if len(weights) and weights[wrong[card.rows]].sum() >= half]
+    return [
+        letter
+        for letter, wrong in shared.items()
+        if len(weights) and weights[wrong[card.rows]].sum() >= half
+    ]
 
 
 def surroundings(run: ExploredRun, card: Card, ledgers: Sequence[PointLedger]) -> dict[str, Any]:
@@ -211,11 +253,12 @@ def surroundings(run: ExploredRun, card: Card, ledgers: Sequence[PointLedger]) -
         ledgers: stored on its points.
 
     Returns:
-        Coordinates are metres, along the axes of the world frame, from the lowest corner of the map: its ``size``, the
-        drawn ``points`` of the case with their ``outcome``, those ``around`` it by outcome, and those with
-        ``evidence``, each after its row in the scan.
+        Coordinates are metres, along the axes of the world frame, from the lowest corner of the
+        map: its ``size``, the drawn ``points`` of the case with their ``outcome``, those ``around``
+        it by outcome, and those with ``evidence``, each after its row in the scan.
     """
-    low, high = card.low - MAP_MARGIN, card.high + MAP_MARGIN
+    low = card.low - MAP_MARGIN
+    high = card.high + MAP_MARGIN
     mine = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == card.case.worst_frame]]
     xyz, outcome = _around(run, card)
     inside = ((xyz >= low) & (xyz <= high)).all(1)
@@ -224,13 +267,21 @@ def surroundings(run: ExploredRun, card: Card, ledgers: Sequence[PointLedger]) -
         "size": (high - low).round(2).tolist(),
         "outcome": card.outcome.name.lower(),
         "points": (mine - low).round(2).tolist(),
-        "around": {name: (of[evenly(len(of), MAP_POINTS)] - low).round(2).tolist() for name, of in around.items()},
-        "evidence": [[ledger.point, *(np.array(ledger.position) - low).round(2).tolist()] for ledger in ledgers],
+        "around": {
+            name: (of[evenly(len(of), MAP_POINTS)] - low).round(2).tolist()
+            for name, of in around.items()
+        },
+        "evidence": [
+            [ledger.point, *(np.array(ledger.position) - low).round(2).tolist()]
+            for ledger in ledgers
+        ],
     }
 
 
 def picture(run: ExploredRun, card: Card, size: tuple[int, int]) -> bytes:
-    """A PNG of the case in its worst frame, as the first view of its layout shows it: the wrong points on top.
+    """A PNG of the case in its worst frame, as the first view of its layout shows it.
+
+    The wrong points on top.
 
     Args:
         run: of the case.
@@ -242,7 +293,8 @@ def picture(run: ExploredRun, card: Card, size: tuple[int, int]) -> bytes:
     width, height = size
     pixels = np.full((height, width, 3), colours.BACKGROUND, np.uint8)
     xyz, outcome = _around(run, card)
-    middle, (ahead, right, up) = (card.low + card.high) / 2, _axes()
+    middle = (card.low + card.high) / 2
+    (ahead, right, up) = _axes()
     offset = xyz - middle + distance_to(card.low, card.high) * ahead
     depth = offset @ ahead
     scale = height / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
@@ -250,19 +302,28 @@ def picture(run: ExploredRun, card: Card, size: tuple[int, int]) -> bytes:
         column = width / 2 + scale * (offset @ right) / depth
         row = height / 2 - scale * (offset @ up) / depth
         shown = np.flatnonzero(
-            (depth > NEAREST) & (np.abs(2 * column - width) < width) & (np.abs(2 * row - height) < height)
+            (depth > NEAREST)
+            & (np.abs(2 * column - width) < width)
+            & (np.abs(2 * row - height) < height)
         )
-    order = np.lexsort((-depth[shown], outcome[shown] == card.outcome))  # near points and the case on top
+    # near points and the case on top
+    order = np.lexsort((-depth[shown], outcome[shown] == card.outcome))
     shown = shown[order]
-    x, y, shades = column[shown].astype(int), row[shown].astype(int), SHADES[outcome[shown]]
+    x = column[shown].astype(int)
+    y = row[shown].astype(int)
+    shades = SHADES[outcome[shown]]
     for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
         pixels[np.minimum(y + dy, height - 1), np.minimum(x + dx, width - 1)] = shades
     return cv2.imencode(".png", pixels[:, :, ::-1])[1].tobytes()
 
 
 def _around(run: ExploredRun, card: Card) -> tuple[F32, U8]:
-    """Points of the map and of the case's worst frame: (N, 3) float32, metres, world frame, and their outcomes."""
-    drawn, kept = run.drawn(card.case.worst_frame), run.map
+    """Points of the map and of the case's worst frame.
+
+    (N, 3) float32, metres, world frame, and their outcomes.
+    """
+    drawn = run.drawn(card.case.worst_frame)
+    kept = run.map
     if drawn is None:
         return kept, np.full(len(kept), Outcome.STATIC_KEPT, np.uint8)
     outcome = np.concatenate([np.full(len(kept), Outcome.STATIC_KEPT, np.uint8), drawn.outcome])

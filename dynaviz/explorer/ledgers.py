@@ -1,4 +1,7 @@
-"""Ledgers of clicked points: the run is repeated in a thread, one replay at a time, and each ledger is kept."""
+"""Ledgers of clicked points.
+
+The run is repeated in a thread, one replay at a time, and each ledger is kept.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,8 @@ class Job:
     """
 
     def __init__(self, closed: threading.Event, passes: Sequence[str]) -> None:
-        self._closed, self._passes = closed, passes
+        self._closed = closed
+        self._passes = passes
         self._begin: float | None = None
         self.share = 0.0
         self.future: Future[Why] | None = None
@@ -62,7 +66,9 @@ class Ledgers:
     """
 
     def __init__(self, runs: dict[str, ExploredRun]) -> None:
-        self._runs, self._jobs, self._lock = runs, dict[Key, Job](), threading.Lock()
+        self._runs = runs
+        self._jobs = dict[Key, Job]()
+        self._lock = threading.Lock()
         self._closed = threading.Event()
         self._worker = ThreadPoolExecutor(1, "ledger")
 
@@ -70,7 +76,8 @@ class Ledgers:
         """The ledger of a point, or how far it is; the first question starts the replay.
 
         Returns:
-            The ledger, or ``error``, or the ``share`` of the replay that is done and the ``seconds`` that are left.
+            The ledger, or ``error``, or the ``share`` of the replay that is done and the
+            ``seconds`` that are left.
         """
         job = self._job((letter, frame, point))
         future = job.future
@@ -85,7 +92,12 @@ class Ledgers:
         """The ledger of a point that was computed; None if none was."""
         job = self._jobs.get((letter, frame, point))
         future = job.future if job else None
-        if future is None or not future.done() or future.cancelled() or future.exception() is not None:
+        if (
+            future is None
+            or not future.done()
+            or future.cancelled()
+            or future.exception() is not None
+        ):
             return None
         return future.result()
 
@@ -100,10 +112,13 @@ class Ledgers:
             if job is None or (job.future is not None and job.future.cancelled()):
                 for (_, *asked), other in self._jobs.items():
                     if asked != [*key[1:]] and other.future is not None:
-                        other.future.cancel()  # if it still waits: the user has clicked elsewhere since
+                        # if it still waits: the user has clicked elsewhere since
+                        other.future.cancel()
                 run = self._runs[key[0]]
                 job = self._jobs[key] = Job(self._closed, run.passes)
-                job.future = self._worker.submit(why, run.run, key[1], key[2], progress=job.progress)
+                job.future = self._worker.submit(
+                    why, run.run, key[1], key[2], progress=job.progress
+                )
                 while len(self._jobs) > MOST:
                     self._jobs.pop(next(iter(self._jobs)))
             return job

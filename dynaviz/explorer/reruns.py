@@ -1,4 +1,7 @@
-"""Runs with other parameters that the page starts: one at a time, each with an explorer that compares it."""
+"""Runs with other parameters that the page starts.
+
+One at a time, each with an explorer that compares it.
+"""
 
 from __future__ import annotations
 
@@ -18,23 +21,30 @@ class Rerun:
     Args:
         run: the first run.
         settings: the parameters that differ.
-        opened: called with the new run; returns the address of the page that compares it with the first one.
+        opened: called with the new run; returns the address of the page that compares it with the
+            first one.
 
     Raises:
         UsageError: for parameters that the method does not have.
     """
 
-    def __init__(self, run: ExploredRun, settings: Mapping[str, Any], opened: Callable[[ExploredRun], str]) -> None:
+    def __init__(
+        self, run: ExploredRun, settings: Mapping[str, Any], opened: Callable[[ExploredRun], str]
+    ) -> None:
         if unknown := settings.keys() - run.result.parameters.keys():
             raise UsageError(f"{run.result.method} has no parameter {', '.join(sorted(unknown))}")
-        self._run, self._settings, self._opened = run, settings, opened
+        self._run = run
+        self._settings = settings
+        self._opened = opened
         self._closed = threading.Event()
         self._state: dict[str, Any] = {"phase": "starting", "done": 0, "total": 0}
         threading.Thread(target=self._work, name="rerun", daemon=True).start()
 
     @property
     def state(self) -> dict[str, Any]:
-        """``url`` of the comparison, or ``error``, or the ``phase`` with the frames ``done`` of ``total``."""
+        """``url`` of the comparison, or ``error``, or the ``phase`` with the frames ``done`` of
+        ``total``.
+        """
         return self._state
 
     def close(self) -> None:

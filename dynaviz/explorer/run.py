@@ -1,4 +1,7 @@
-"""A recorded run as the explorer sees it: its cases, and the truth, answer and reason of any point."""
+"""A recorded run as the explorer sees it.
+
+Its cases, and the truth, answer and reason of any point.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,12 @@ from dynaviz.views.read.focus import Focus
 from dynaviz.views.read.reader import DrawnPoints, viewable
 
 NEAR = 0.5  # metres: a click farther from every point of a frame asks about none
-GATHERED = (paths.MAP_WRONG, paths.REMOVED, paths.REMOVED_WRONG)  # of all frames; none is right and kept
+# of all frames; none is right and kept
+GATHERED = (
+    paths.MAP_WRONG,
+    paths.REMOVED,
+    paths.REMOVED_WRONG,
+)
 OUTCOMES = {  # of a point by whether it was removed, and whether that is right
     (True, True): Outcome.DYNAMIC_REMOVED,
     (True, False): Outcome.FALSE_POSITIVE,
@@ -51,7 +59,8 @@ class ExploredRun:
         frames: number of frames.
 
     Raises:
-        DataError: for a recording that cannot be read, is of a run that did not finish, or contains no points.
+        DataError: for a recording that cannot be read, is of a run that did not finish, or contains
+            no points.
     """
 
     def __init__(self, run: str | os.PathLike[str] | Result):
@@ -61,22 +70,33 @@ class ExploredRun:
         self.recording = self.run.recording
         if self.recording.properties["mode"] == "scores":
             hint = "Run the method again with --record errors"
-            raise DataError(self.path, "contains scores alone, without points to explore", hint=hint)
+            raise DataError(
+                self.path, "contains scores alone, without points to explore", hint=hint
+            )
         self.result: Result = self.run.result
         self.frames = self.recording.frames
-        self._drawn: dict[int, DrawnPoints] = {drawn.frame: drawn for drawn in self.recording.drawn() if len(drawn.xyz)}
-        self._answers: dict[int, FrameAnswers] = {answers.frame: answers for answers in self.recording.answers()}
+        self._drawn: dict[int, DrawnPoints] = {
+            drawn.frame: drawn for drawn in self.recording.drawn() if len(drawn.xyz)
+        }
+        self._answers: dict[int, FrameAnswers] = {
+            answers.frame: answers for answers in self.recording.answers()
+        }
         self._reasons = self.recording.reasons
         self._ledgers: dict[int, tuple[PointLedger, ...]] = {}
         for frame, drawn in self._drawn.items():
             answered = len(self._answers[frame]) if frame in self._answers else 0
             if ((drawn.point < 0) | (drawn.point >= answered)).any():
                 hint = f"Save all other parts with: dynaviz info {self.path}"
-                raise DataError(self.path, "contains points without an answer", at=f"frame {frame}", hint=hint)
+                raise DataError(
+                    self.path, "contains points without an answer", at=f"frame {frame}", hint=hint
+                )
 
     @property
     def compares(self) -> bool:
-        """Whether "removed" means that a point changed between two drives: its reason then names its answer."""
+        """Whether "removed" means that a point changed between two drives.
+
+        Its reason then names its answer.
+        """
         return self.result.method == "changed"
 
     @property
@@ -87,7 +107,10 @@ class ExploredRun:
 
     @property
     def replay_s(self) -> float | None:
-        """Seconds that a replay takes, by what its passes took when the run was recorded; None if unknown."""
+        """Seconds that a replay takes, by what its passes took when the run was recorded.
+
+        None if unknown.
+        """
         measured = self.recording.properties.get("repeat_s")
         return None if measured is None else float(measured) + START
 
@@ -100,12 +123,16 @@ class ExploredRun:
     def focus(self) -> Focus:
         """Writes layouts and marks for the viewer."""
         known = self.result.method in registry.loadable("methods")
-        return Focus(self.recording, registry.load("methods", self.result.method).info if known else None)
+        return Focus(
+            self.recording, registry.load("methods", self.result.method).info if known else None
+        )
 
     @cached_property
     def map(self) -> F32:
         """(N, 3) float32, metres, world frame: the kept points of the whole run, thinned."""
-        found: F32 = self.recording.static(paths.MAP).get("Points3D:positions", np.zeros((0, 3), np.float32))
+        found: F32 = self.recording.static(paths.MAP).get(
+            "Points3D:positions", np.zeros((0, 3), np.float32)
+        )
         return found
 
     @cached_property
@@ -117,7 +144,9 @@ class ExploredRun:
         """The drawn points of a frame."""
         return self._drawn.get(frame)
 
-    def clicked(self, entity: str, instance: int | None, frame: int, position: F64) -> tuple[int, int]:
+    def clicked(
+        self, entity: str, instance: int | None, frame: int, position: F64
+    ) -> tuple[int, int]:
         """Frame and row of a clicked point.
 
         Args:
@@ -130,15 +159,24 @@ class ExploredRun:
             UsageError: if no recorded point is there.
         """
         drawn = self._drawn.get(frame)
-        if entity == paths.SCAN and drawn is not None and instance is not None and instance < len(drawn.point):
+        if (
+            entity == paths.SCAN
+            and drawn is not None
+            and instance is not None
+            and instance < len(drawn.point)
+        ):
             return frame, int(drawn.point[instance])
         if drawn is not None and (row := _nearest(drawn.xyz, position)) is not None:
             return frame, int(drawn.point[row])
         if entity in GATHERED and (found := _nearest(self.wrong.xyz, position)) is not None:
             return int(self.wrong.frame[found]), int(self.wrong.point[found])
-        raise UsageError("correct points are not stored individually. Record the run with --record full")
+        raise UsageError(
+            "correct points are not stored individually. Record the run with --record full"
+        )
 
-    def point(self, frame: int, point: int, corrections: Mapping[int, str] | None = None) -> dict[str, Any]:
+    def point(
+        self, frame: int, point: int, corrections: Mapping[int, str] | None = None
+    ) -> dict[str, Any]:
         """Truth, answer and reason of a point, in plain types.
 
         Args:
@@ -155,8 +193,10 @@ class ExploredRun:
         if not 0 <= point < len(answers):
             raise UsageError(f"point {point}: frame {frame} has the points 0 to {len(answers) - 1}")
         reason = self._reasons[answers.reasons[point]]
-        truth, removed = TRUTH.get(int(answers.truth[point])), bool(answers.dynamic[point])
-        outcome, position = Outcome(answers.outcome[point]), self._position(frame, point)
+        truth = TRUTH.get(int(answers.truth[point]))
+        removed = bool(answers.dynamic[point])
+        outcome = Outcome(answers.outcome[point])
+        position = self._position(frame, point)
         case = None
         if position is not None and outcome in (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE):
             known = self._near(frame, point, position, removed, reason.name)
@@ -164,12 +204,17 @@ class ExploredRun:
                 case = self.result.failures[known[0].case - 1]
             else:
                 case = case_at(self.result.failures, outcome.name.lower(), frame, position)
-        cause, number = (None, 0) if case is None else (case.cause, self.result.failures.index(case) + 1)
+        cause, number = (
+            (None, 0) if case is None else (case.cause, self.result.failures.index(case) + 1)
+        )
         corrected = (corrections or {}).get(number)
         if corrected is not None:
             right = removed == (corrected == "dynamic")
-            truth, outcome = corrected, OUTCOMES[removed, right]
-        answer = reason.name.replace("_", " ") if self.compares else "removed" if removed else "kept"
+            truth = corrected
+            outcome = OUTCOMES[removed, right]
+        answer = (
+            reason.name.replace("_", " ") if self.compares else "removed" if removed else "kept"
+        )
         return {
             "frame": frame,
             "index": answers.index,
@@ -187,7 +232,8 @@ class ExploredRun:
         }
 
     def stored(self, frame: int, point: int) -> tuple[PointLedger, float] | None:
-        """The stored ledger of a point, or of one near it that has the same label for the same reason.
+        """The stored ledger of a point, or of one near it that has the same label for the same
+        reason.
 
         Returns:
             The ledger and its distance from the point, metres; None if none is within ``NEAR``.
@@ -222,13 +268,19 @@ class ExploredRun:
         return self._ledgers[case]
 
     def wrong_too(self, other: ExploredRun) -> Bool:
-        """(N,) for each of the points in ``wrong``, whether another run on the same frames is wrong there, too."""
+        """(N,) for each of the points in ``wrong``, whether another run on the same frames is wrong
+        there, too.
+        """
         wrong = np.zeros(len(self.wrong.frame), np.bool_)
         for frame in np.unique(self.wrong.frame).tolist():
             here = self.wrong.frame == frame
-            if frame not in other._answers or len(other._answers[frame]) != len(self._answers[frame]):
+            if frame not in other._answers or len(other._answers[frame]) != len(
+                self._answers[frame]
+            ):
                 hint = "Compare runs of the same frames"
-                raise DataError(other.path, f"has other points than {self.path}", at=f"frame {frame}", hint=hint)
+                raise DataError(
+                    other.path, f"has other points than {self.path}", at=f"frame {frame}", hint=hint
+                )
             wrong[here] = np.isin(other._answers[frame].outcome[self.wrong.point[here]], WRONG)
         return wrong
 
@@ -252,7 +304,9 @@ class WrongPoints:
 
     def __init__(self, drawn: list[DrawnPoints]) -> None:
         rows = [np.flatnonzero(np.isin(each.outcome, WRONG)) for each in drawn]
-        frames = [np.full(len(row), each.frame, np.int64) for each, row in zip(drawn, rows, strict=True)]
+        frames = [
+            np.full(len(row), each.frame, np.int64) for each, row in zip(drawn, rows, strict=True)
+        ]
 
         def joined(name: str, empty: Any) -> Any:
             parts = [getattr(each, name)[row] for each, row in zip(drawn, rows, strict=True)]

@@ -1,4 +1,7 @@
-"""The server of the explorer: it listens on this machine alone, below a random token, and serves listed files only."""
+"""The server of the explorer.
+
+It listens on this machine alone, below a random token, and serves listed files only.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ try:
     from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
     from starlette.routing import Mount, Route
 except ImportError:
-    raise MissingDependency("the explorer needs a web server. Install it with: pip install starlette uvicorn") from None
+    raise MissingDependency(
+        "the explorer needs a web server. Install it with: pip install starlette uvicorn"
+    ) from None
 
 from dynaviz.explorer.answers import RRD, Explored, Query
 from dynaviz.explorer.run import ExploredRun
@@ -46,11 +51,20 @@ SCRIPTS = (
     "whatif.js",
     "why.js",
 )
-FILES = {"index.html": "text/html", "style.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
-VIEWER = {"widget.js": "text/javascript", "widget.css": "text/css", "re_viewer_bg.wasm": "application/wasm"}
+FILES = {
+    "index.html": "text/html",
+    "style.css": "text/css",
+    **dict.fromkeys(SCRIPTS, "text/javascript"),
+}
+VIEWER = {
+    "widget.js": "text/javascript",
+    "widget.css": "text/css",
+    "re_viewer_bg.wasm": "application/wasm",
+}
 POLICY = (  # the browser itself refuses requests to other machines
     "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data: blob:; connect-src 'self' data: blob:; base-uri 'none'; form-action 'none'"
+    "img-src 'self' data: blob:; connect-src 'self' data: blob:; base-uri 'none'; form-action "
+    "'none'"
 )
 HEADERS = {
     "Content-Security-Policy": POLICY,
@@ -73,7 +87,9 @@ def viewer_files() -> Path:
     if found is None or found.origin is None:
         raise MissingDependency(f"the explorer needs Rerun's viewer. Install it with: {fix}")
     if (theirs := metadata.version("rerun-notebook")) != ours:
-        raise MissingDependency(f"rerun-notebook {theirs} does not match rerun-sdk {ours}. Install it with: {fix}")
+        raise MissingDependency(
+            f"rerun-notebook {theirs} does not match rerun-sdk {ours}. Install it with: {fix}"
+        )
     return Path(found.origin).with_name("static")
 
 
@@ -102,11 +118,18 @@ def application(explored: Explored, token: str) -> Starlette:
 
     routes = [
         *(Route(f"/api/{name}", _json(answer)) for name, answer in explored.answers.items()),
-        *(Route(f"/api/{name}", _json(change), methods=["POST"]) for name, change in explored.changes.items()),
-        *(Route(f"/api/{name}", _bytes(answer, kind)) for name, (answer, kind) in explored.contents.items()),
+        *(
+            Route(f"/api/{name}", _json(change), methods=["POST"])
+            for name, change in explored.changes.items()
+        ),
+        *(
+            Route(f"/api/{name}", _bytes(answer, kind))
+            for name, (answer, kind) in explored.contents.items()
+        ),
         Route("/{name:path}", file),
     ]
-    hosts = Middleware(TrustedHostMiddleware, allowed_hosts=[HOME, "localhost"])  # not under another site's name
+    # not under another site's name
+    hosts = Middleware(TrustedHostMiddleware, allowed_hosts=[HOME, "localhost"])
     return Starlette(routes=[Mount(f"/{token}", routes=routes)], middleware=[hosts])
 
 
@@ -146,7 +169,8 @@ class Explorer:
     """
 
     def __init__(self, explored: Explored, port: int = 0):
-        self._explored, token = explored, secrets.token_urlsafe(24)
+        self._explored = explored
+        token = secrets.token_urlsafe(24)
         self._comparisons: list[Explorer] = []
         explored.compare = self._compare
         app = application(explored, token)
@@ -161,7 +185,9 @@ class Explorer:
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="error", lifespan="off", timeout_graceful_shutdown=1)
         )
-        self._thread = threading.Thread(target=self._server.run, args=([self._socket],), name="explorer", daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.run, args=([self._socket],), name="explorer", daemon=True
+        )
         self._thread.start()
         end = time.monotonic() + SECONDS_TO_START
         while not self._server.started:
@@ -192,11 +218,15 @@ class Explorer:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
     def _repr_html_(self) -> str:
         return (
-            f'<iframe src="{self.url}" style="width: 100%; height: 720px; border: 0" allow="clipboard-write"></iframe>'
+            f'<iframe src="{self.url}" style="width: 100%; height: 720px; border: 0" '
+            'allow="clipboard-write"></iframe>'
         )

@@ -1,4 +1,7 @@
-"""The ledgers of one or several points as the page draws them: frame by frame, and what the parameters would change."""
+"""The ledgers of one or several points as the page draws them.
+
+Frame by frame, and what the parameters would change.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +21,10 @@ def strip(ledgers: Sequence[PointLedger]) -> dict[str, Any]:
         ledgers: at least one.
 
     Returns:
-        ``quantity`` that is shown, or None, and ``scans``, each with its ``frame``, the ``hit`` and ``crossed`` shares
-        of the points, the ``change`` and the ``value`` of the quantity, the share ``removed`` so far, whether it
-        touched the points ``without_effect``, and where the ``sensor`` stood.
+        ``quantity`` that is shown, or None, and ``scans``, each with its ``frame``, the ``hit`` and
+        ``crossed`` shares of the points, the ``change`` and the ``value`` of the quantity, the
+        share ``removed`` so far, whether it touched the points ``without_effect``, and where the
+        ``sensor`` stood.
     """
     rule = decided_by(ledgers[0])
     terms = rule.terms if rule else ()
@@ -34,7 +38,11 @@ def strip(ledgers: Sequence[PointLedger]) -> dict[str, Any]:
     removed: dict[int, bool] = {}
     scans = []
     for frame, entries in sorted(by_frame.items()):
-        here = {k: value for k, entry in entries.items() if (value := entry.values.get(name)) is not None}
+        here = {
+            k: value
+            for k, entry in entries.items()
+            if (value := entry.values.get(name)) is not None
+        }
         last |= here
         removed |= {k: entry.removed for k, entry in entries.items() if entry.removed is not None}
         touched = [entry for entry in entries.values() if entry.hits or entry.crossed]
@@ -78,7 +86,9 @@ def _quantity(quantities: Sequence[QuantityInfo], terms: Set[str]) -> QuantityIn
 
 
 def what_if(ledgers: Sequence[PointLedger], parameters: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What the page needs to judge the points again with other parameters; None if no parameter enters directly.
+    """What the page needs to judge the points again with other parameters.
+
+    None if no parameter enters directly.
 
     Args:
         ledgers: at least one.
@@ -86,16 +96,21 @@ def what_if(ledgers: Sequence[PointLedger], parameters: Mapping[str, Any]) -> di
     """
     sums = [q for q in ledgers[0].quantities if q.steps]
     summed = {q.name for q in sums}
-    names = [parameter for q in sums for _, parameter in q.steps] + [limit for q in sums for limit in q.limits]
+    names = [parameter for q in sums for _, parameter in q.steps] + [
+        limit for q in sums for limit in q.limits
+    ]
     rules = [rule for ledger in ledgers for rule in ledger.rules if _replayed(rule)]
     names += [term.parameter for rule in rules for term in rule.terms if term.parameter]
     names = [name for name in dict.fromkeys(names) if isinstance(parameters.get(name), int | float)]
     if not names:
         return None
-    probabilities = {name for q in sums for name in (*(parameter for _, parameter in q.steps), *q.limits)}
+    probabilities = {
+        name for q in sums for name in (*(parameter for _, parameter in q.steps), *q.limits)
+    }
     return {
         "parameters": [
-            {"name": name, "value": parameters[name], "probability": name in probabilities} for name in names
+            {"name": name, "value": parameters[name], "probability": name in probabilities}
+            for name in names
         ],
         "sums": [{"name": q.name, "steps": q.steps, "limits": q.limits} for q in sums],
         "points": [
@@ -115,7 +130,13 @@ def _replayed(rule: RuleValue) -> bool:
 
 def _rule(rule: RuleValue) -> dict[str, Any]:
     terms = [
-        {"name": t.name, "value": t.value, "test": t.test, "threshold": _finite(t.threshold), "parameter": t.parameter}
+        {
+            "name": t.name,
+            "value": t.value,
+            "test": t.test,
+            "threshold": _finite(t.threshold),
+            "parameter": t.parameter,
+        }
         for t in rule.terms
     ]
     return {"holds": rule.holds, "terms": terms if _replayed(rule) else []}

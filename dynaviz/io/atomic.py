@@ -1,4 +1,7 @@
-"""Open files with readable errors, and write files and folders atomically: complete or not at all."""
+"""Open files with readable errors, and write files and folders atomically.
+
+Complete or not at all.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,13 @@ from typing import IO
 
 from dynaviz.errors import DataError
 
-_DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS}  # raised by writes only; write() sets no filename
+# raised by writes only; write() sets no filename
+_DISK_ERRORS = {
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EROFS,
+}
 
 
 @contextlib.contextmanager
@@ -36,10 +45,13 @@ def open_file(path: str | os.PathLike[str], hint: str) -> Iterator[IO[bytes]]:
 
 @contextlib.contextmanager
 def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path next to ``path`` to write to; rename it on success, remove it on failure.
+    """Yield a temporary path next to ``path`` to write to.
+
+    Rename it on success, remove it on failure.
 
     Raises:
-        DataError: if the folder is not writable or the disk is full. Other errors are passed on unchanged.
+        DataError: if the folder is not writable or the disk is full. Other errors are passed on
+            unchanged.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.part")
@@ -48,7 +60,9 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        if error.errno not in _DISK_ERRORS and error.filename not in _involved_paths(path, temporary):
+        if error.errno not in _DISK_ERRORS and error.filename not in _involved_paths(
+            path, temporary
+        ):
             raise
         raise write_error(path, error, "another folder with -o") from error
     finally:
@@ -106,7 +120,9 @@ def remove(path: str | os.PathLike[str]) -> None:
     except (FileNotFoundError, NotADirectoryError):
         pass
     except OSError as error:
-        raise DataError(path, f"cannot be removed ({error.strerror})", hint="Choose another folder with -o") from None
+        raise DataError(
+            path, f"cannot be removed ({error.strerror})", hint="Choose another folder with -o"
+        ) from None
 
 
 def write_atomic(path: str | os.PathLike[str], content: bytes) -> None:
@@ -119,7 +135,11 @@ def write_error(path: Path, error: OSError, alternative: str) -> DataError:
     """The error for a file or folder that cannot be written."""
     places = (path, *path.parents) if isinstance(error, FileExistsError) else path.parents
     file = next((place for place in places if place.is_file()), None)
-    hint = f"{file} is a file: choose {alternative}" if file else f"Free disk space or choose {alternative}"
+    hint = (
+        f"{file} is a file: choose {alternative}"
+        if file
+        else f"Free disk space or choose {alternative}"
+    )
     return DataError(path, f"cannot be written ({error.strerror})", hint=hint)
 
 

@@ -1,4 +1,7 @@
-"""Write the layout of the public benchmark (Zhang et al. 2023): scans in the world frame, and one labelled cloud."""
+"""Write the layout of the public benchmark (Zhang et al. 2023).
+
+Scans in the world frame, and one labelled cloud.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,10 @@ _LAYOUT = dict.fromkeys(("x", "y", "z", "intensity"), np.float32)
 class BenchmarkWriter:
     """Writes a sequence scan by scan; the folder appears only when the ``with`` block succeeds.
 
-    ``pcd/NNNNNN.pcd`` contain x y z intensity as float32 and the sensor pose as VIEWPOINT. ``gt_cloud.pcd`` is created
-    with the first labels; it contains all points in scan order with the label as intensity, followed by the fields
-    ``class`` and ``instance``. ``sequence.toml`` contains the metadata. All PCD files are binary.
+    ``pcd/NNNNNN.pcd`` contain x y z intensity as float32 and the sensor pose as VIEWPOINT.
+    ``gt_cloud.pcd`` is created with the first labels; it contains all points in scan order with the
+    label as intensity, followed by the fields ``class`` and ``instance``. ``sequence.toml``
+    contains the metadata. All PCD files are binary.
 
     Args:
         out: the folder to create; it must not exist yet.
@@ -84,7 +88,9 @@ class BenchmarkWriter:
         """
         if self._cloud is None:
             fields = {**_LAYOUT, "class": np.uint16, "instance": np.int32}
-            self._cloud = self._stack.enter_context(PcdWriter(self._folder / "gt_cloud.pcd", fields))
+            self._cloud = self._stack.enter_context(
+                PcdWriter(self._folder / "gt_cloud.pcd", fields)
+            )
         truth: dict[str, Any] = {
             "intensity": labels.astype(np.float32),
             "class": np.zeros(len(points), np.uint16) if classes is None else classes,

@@ -16,7 +16,10 @@ _HINT = "Copy the file again"
 
 
 def read_feather(
-    path: str | os.PathLike[str], columns: Sequence[str], text: Collection[str] = (), integers: Collection[str] = ()
+    path: str | os.PathLike[str],
+    columns: Sequence[str],
+    text: Collection[str] = (),
+    integers: Collection[str] = (),
 ) -> dict[str, NDArray[Any]]:
     """Read columns of a table.
 
@@ -30,7 +33,8 @@ def read_feather(
         (rows,) arrays by name, in the types of the file; text as objects.
 
     Raises:
-        DataError: if the file cannot be read or is corrupt, or a column is missing, has missing values or a wrong type.
+        DataError: if the file cannot be read or is corrupt, or a column is missing, has missing
+            values or a wrong type.
     """
     from pyarrow import feather, types
 
@@ -44,16 +48,21 @@ def read_feather(
     for name in columns:
         if (count := table.column_names.count(name)) != 1:
             problem = f"column {name} is missing (found: {' '.join(table.column_names)})"
-            raise DataError(path, f"there are {count} columns {name}" if count else problem, hint=_HINT)
+            raise DataError(
+                path, f"there are {count} columns {name}" if count else problem, hint=_HINT
+            )
         if table[name].null_count:
             raise DataError(path, f"column {name} has missing values", hint=_HINT)
         kind = table.schema.field(name).type
         if name in text:
-            valid, expected = types.is_string(kind) or types.is_large_string(kind), "text"
+            valid = types.is_string(kind) or types.is_large_string(kind)
+            expected = "text"
         elif name in integers:
-            valid, expected = types.is_integer(kind), "integers"
+            valid = types.is_integer(kind)
+            expected = "integers"
         else:
-            valid, expected = types.is_integer(kind) or types.is_floating(kind), "numbers"
+            valid = types.is_integer(kind) or types.is_floating(kind)
+            expected = "numbers"
         if not valid:
             raise DataError(path, f"column {name} contains {kind}, not {expected}", hint=_HINT)
     return {name: np.asarray(table[name].to_numpy()) for name in columns}

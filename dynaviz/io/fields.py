@@ -1,4 +1,7 @@
-"""Read all fields of a point cloud, in the types of the file: coordinates, and attributes such as intensity."""
+"""Read all fields of a point cloud, in the types of the file.
+
+Coordinates, and attributes such as intensity.
+"""
 
 from __future__ import annotations
 
@@ -29,27 +32,36 @@ def read_fields(path: str | os.PathLike[str]) -> Fields:
         path: the file; its suffix selects the format.
 
     Returns:
-        (N,) integers or floats by name: x, y and z in metres, and the attributes, unchanged. A field with several
-        values per point is split: ``normal_0``, ``normal_1``.
+        (N,) integers or floats by name: x, y and z in metres, and the attributes, unchanged. A
+        field with several values per point is split: ``normal_0``, ``normal_1``.
 
     Raises:
-        DataError: for an unknown suffix, or if the file cannot be read, is corrupt or has no x, y or z.
+        DataError: for an unknown suffix, or if the file cannot be read, is corrupt or has no x, y
+            or z.
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         suffixes = ", ".join(sorted(_READERS))
-        raise DataError(path, "unknown point cloud format", hint=f"Give a file with one of the suffixes {suffixes}")
+        raise DataError(
+            path,
+            "unknown point cloud format",
+            hint=f"Give a file with one of the suffixes {suffixes}",
+        )
     fields = reader(path)
     if missing := [axis for axis in AXES if axis not in fields]:
         hint = "Write the cloud with x, y and z"
-        raise DataError(path, f"has no {', '.join(missing)} (found: {', '.join(fields)})", hint=hint)
+        raise DataError(
+            path, f"has no {', '.join(missing)} (found: {', '.join(fields)})", hint=hint
+        )
     return fields
 
 
 def read_points(path: str | os.PathLike[str]) -> F32:
-    """Read the coordinates of a PCD, PLY, LAS, LAZ, NPY or NPZ file: (N, 3) float32, metres, in the file's frame.
+    """Read the coordinates of a PCD, PLY, LAS, LAZ, NPY or NPZ file.
+
+    (N, 3) float32, metres, in the file's frame.
 
     A viewpoint in the file is not applied; values may be non-finite.
 
@@ -87,12 +99,18 @@ def columns_of(rows: NDArray[Any]) -> Fields:
             fields[name] = column
         else:
             flat = column.reshape(len(rows), -1)
-            fields |= {f"{name}_{k}" if flat.shape[1] > 1 else name: flat[:, k] for k in range(flat.shape[1])}
+            fields |= {
+                f"{name}_{k}" if flat.shape[1] > 1 else name: flat[:, k]
+                for k in range(flat.shape[1])
+            }
     return fields
 
 
 def _npy(path: Path) -> Fields:
-    hint = "Save (N, 3 or more) float32, metres, or a structured array with x, y and z, with numpy.save"
+    hint = (
+        "Save (N, 3 or more) float32, metres, or a structured array with x, y and z, with "
+        "numpy.save"
+    )
     with open_npy(path, "NPY file", hint) as array:
         rows = np.array(array) if isinstance(array, np.ndarray) else np.empty(0)
     if rows.dtype.names:
@@ -105,18 +123,25 @@ def _npy(path: Path) -> Fields:
 
 
 def _npz(path: Path) -> Fields:
-    """The arrays of an NPZ file with a value per point, and the columns of ``points`` or ``xyz``."""
+    """The arrays of an NPZ file with a value per point, and the columns of ``points``
+    or ``xyz``.
+    """
     hint = "Save points = (N, 3) float32, metres, and arrays of N values, with numpy.savez"
     with open_npy(path, "NPZ file", hint) as arrays:
         loaded = {name: arrays[name] for name in arrays}
     if all(axis in loaded for axis in AXES):
         return {name: array for name, array in loaded.items() if array.shape == loaded["x"].shape}
     clouds = [
-        name for name, array in loaded.items() if array.ndim == 2 and array.shape[1] >= 3 and array.dtype.kind in "fiu"
+        name
+        for name, array in loaded.items()
+        if array.ndim == 2 and array.shape[1] >= 3 and array.dtype.kind in "fiu"
     ]
     named = [name for name in ("points", "xyz") if name in clouds]
     if not named and len(clouds) != 1:
-        problem = f"contains {len(clouds) or 'no'} arrays (N, 3 or more) of numbers, and none named points"
+        problem = (
+            f"contains {len(clouds) or 'no'} arrays (N, 3 or more) of numbers, and none named "
+            "points"
+        )
         raise DataError(path, problem, hint=hint)
     points = loaded.pop((named or clouds)[0])
     more = ["intensity", *(f"column_{k}" for k in range(4, points.shape[1]))][: points.shape[1] - 3]

@@ -1,4 +1,6 @@
-"""KITTI's calibration files, ``oxts`` records of GPS and inertial unit, ``label_02`` boxes, and tracklets."""
+"""KITTI's calibration files, ``oxts`` records of GPS and inertial unit, ``label_02`` boxes, and
+tracklets.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ _CALIB_HINT = "Write each line as NAME: NUMBERS, with 12 numbers for a transform
 
 
 def read_calib(path: str | os.PathLike[str]) -> dict[str, F64]:
-    """Read the lines ``NAME: NUMBERS`` except the date. The colon may be missing, as in some of KITTI's own files.
+    """Read the lines ``NAME: NUMBERS`` except the date.
+
+    The colon may be missing, as in some of KITTI's own files.
 
     Returns:
         float64 arrays by name: (12,), (9,) or any other length, as in the file.
@@ -37,7 +41,10 @@ def read_calib(path: str | os.PathLike[str]) -> dict[str, F64]:
                 rows[name.removesuffix(":")] = np.array(values, np.float64)
             except ValueError:
                 raise DataError(
-                    path, "contains something other than numbers", at=f"line {number}", hint=_CALIB_HINT
+                    path,
+                    "contains something other than numbers",
+                    at=f"line {number}",
+                    hint=_CALIB_HINT,
                 ) from None
     return rows
 
@@ -69,7 +76,9 @@ def calib_transform(path: str | os.PathLike[str], rows: Mapping[str, F64], *name
     try:
         T[:3, :3] = geometry.matrix(geometry.quaternion(matrix[:, :3]))
     except ValueError:
-        raise DataError(path, f"line {' or '.join(names)} does not contain a rotation", hint=_CALIB_HINT) from None
+        raise DataError(
+            path, f"line {' or '.join(names)} does not contain a rotation", hint=_CALIB_HINT
+        ) from None
     if matrix.shape == (3, 4):
         T[:3, 3] = matrix[:, 3]
     return T
@@ -84,8 +93,8 @@ _COLUMNS = 30  # lat lon alt roll pitch yaw, then speeds, accelerations and qual
 def read_oxts(*paths: str | os.PathLike[str]) -> F64:
     """Read poses of the IMU from one file with a line per frame, or from one file per frame.
 
-    Latitude and longitude are projected by Mercator, scaled by the first latitude (KITTI raw development kit,
-    ``latlonToMercator``).
+    Latitude and longitude are projected by Mercator, scaled by the first latitude (KITTI raw
+    development kit, ``latlonToMercator``).
 
     Args:
         paths: a single file, or files of one line each, in frame order.
@@ -94,8 +103,8 @@ def read_oxts(*paths: str | os.PathLike[str]) -> F64:
         (lines, 4, 4) float64, metres: T_earth_imu; x east, y north, z up.
 
     Raises:
-        DataError: if a file cannot be read, a line does not have 30 numbers, a position or angle is out of range, or
-            one of several files does not have exactly one line.
+        DataError: if a file cannot be read, a line does not have 30 numbers, a position or angle is
+            out of range, or one of several files does not have exactly one line.
     """
     tables = [read_table(path, _COLUMNS, _OXTS_HINT) for path in paths]
     for path, rows in zip(paths, tables, strict=True):
@@ -106,9 +115,12 @@ def read_oxts(*paths: str | os.PathLike[str]) -> F64:
         if (np.abs(rows[:, :6]) > _LIMITS).any():
             problem = "latitude, longitude, altitude or angle out of range"
             raise DataError(
-                path, problem, hint="Give latitude and longitude in degrees, and roll, pitch and yaw in radians"
+                path,
+                problem,
+                hint="Give latitude and longitude in degrees, and roll, pitch and yaw in radians",
             )
-    latitude, longitude = np.radians(table[:, 0]), np.radians(table[:, 1])
+    latitude = np.radians(table[:, 0])
+    longitude = np.radians(table[:, 1])
     scale = np.cos(latitude[:1]) * _EARTH_RADIUS
     poses = np.tile(np.eye(4), (len(table), 1, 1))
     poses[:, 0, 3] = scale * longitude
@@ -135,14 +147,16 @@ REGION = "DontCare"
 
 @dataclass(frozen=True, slots=True)
 class TrackBox:
-    """An object in a frame, or an unlabelled image region (``kind`` DontCare, without a 3-D extent).
+    """An object in a frame, or an unlabelled image region (``kind`` DontCare, without a 3-D
+    extent).
 
     Attributes:
         frame, track: as in the file; track is -1 for a region.
         kind: ``Car``, ``Pedestrian`` ...
         rectangle: left, top, right, bottom in the image of camera 2, pixels.
         size: height, width, length, metres.
-        bottom: (x, y, z) of the centre of its bottom face, metres, rectified camera frame (x right, y down, z forward).
+        bottom: (x, y, z) of the centre of its bottom face, metres, rectified camera frame (x right,
+            y down, z forward).
         yaw: rotation about the camera's y axis, radians.
     """
 
@@ -167,7 +181,9 @@ def read_boxes(path: str | os.PathLike[str]) -> list[TrackBox]:
             try:
                 boxes.append(_parse_box(line.decode("latin-1").split()))
             except (ValueError, OverflowError, IndexError):
-                raise DataError(path, "not a valid box", at=f"line {number}", hint=_BOX_HINT) from None
+                raise DataError(
+                    path, "not a valid box", at=f"line {number}", hint=_BOX_HINT
+                ) from None
     return boxes
 
 
@@ -177,7 +193,9 @@ def _parse_box(words: list[str]) -> TrackBox:
     if not np.isfinite(numbers).all():
         raise ValueError("a number is not finite")
     left, top, right, bottom, height, width, length, x, y, z, yaw = numbers
-    return TrackBox(frame, track, words[2], (left, top, right, bottom), (height, width, length), (x, y, z), yaw)
+    return TrackBox(
+        frame, track, words[2], (left, top, right, bottom), (height, width, length), (x, y, z), yaw
+    )
 
 
 _XML_HINT = "Copy the file again"
@@ -191,7 +209,8 @@ class Tracklet:
         kind: ``Car``, ``Pedestrian`` ...
         size: height, width, length, metres.
         first: number of the first frame.
-        poses: (frames, 4) float64: centre of the bottom face in metres, sensor frame, and yaw about z in radians.
+        poses: (frames, 4) float64: centre of the bottom face in metres, sensor frame, and yaw about
+            z in radians.
     """
 
     kind: str
@@ -210,8 +229,13 @@ def read_tracklets(path: str | os.PathLike[str]) -> list[Tracklet]:
         try:
             root = ElementTree.parse(file).getroot()
         except ElementTree.ParseError as error:
-            raise DataError(path, "not valid XML", at=f"line {error.position[0]}", hint=_XML_HINT) from None
-        except (LookupError, ValueError) as error:  # an unknown encoding, or one that the parser does not support
+            raise DataError(
+                path, "not valid XML", at=f"line {error.position[0]}", hint=_XML_HINT
+            ) from None
+        except (
+            LookupError,
+            ValueError,
+        ) as error:  # an unknown encoding, or one that the parser does not support
             raise DataError(path, f"not valid XML ({error})", at="line 1", hint=_XML_HINT) from None
     tracklets = root.find("tracklets")
     if tracklets is None:
@@ -226,10 +250,15 @@ def _tracklet(path: str | os.PathLike[str], number: int, item: ElementTree.Eleme
             [float(pose.findtext(name, "")) for name in ("tx", "ty", "tz", "rz")]
             for pose in item.iterfind("poses/item")
         ]
-        kind, first = item.findtext("objectType", ""), int(item.findtext("first_frame", ""))
+        kind = item.findtext("objectType", "")
+        first = int(item.findtext("first_frame", ""))
         if not np.isfinite([height, width, length, *(x for pose in poses for x in pose)]).all():
             raise ValueError("not finite")
     except ValueError:
-        problem = "a number is missing or not finite: h, w, l, first_frame, or tx, ty, tz, rz of a pose"
+        problem = (
+            "a number is missing or not finite: h, w, l, first_frame, or tx, ty, tz, rz of a pose"
+        )
         raise DataError(path, problem, at=f"tracklet {number}", hint=_XML_HINT) from None
-    return Tracklet(kind, (height, width, length), first, np.array(poses, np.float64).reshape(-1, 4))
+    return Tracklet(
+        kind, (height, width, length), first, np.array(poses, np.float64).reshape(-1, 4)
+    )

@@ -1,4 +1,6 @@
-"""LAS and LAZ files (1.0 to 1.4), read with laspy after the sizes in the header are checked against the file size."""
+"""LAS and LAZ files (1.0 to 1.4), read with laspy after the sizes in the header are checked against
+the file size.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,9 @@ def read_las_fields(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     """Read all dimensions.
 
     Returns:
-        (N,) by name, in the types of the file: x, y and z in float64, metres, with scale and offset applied; and the
-        other dimensions, of the standard and extra. One with several values per point is split: ``normal_0`` ...
+        (N,) by name, in the types of the file: x, y and z in float64, metres, with scale and offset
+        applied; and the other dimensions, of the standard and extra. One with several values per
+        point is split: ``normal_0`` ...
 
     Raises:
         DataError: if the file cannot be read, is corrupt or too short.
@@ -34,7 +37,11 @@ def read_las_fields(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     """
     parts = _read_chunks(Path(path))
     empty = {axis: np.empty(0) for axis in "xyz"}
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else empty
+    return (
+        {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        if parts
+        else empty
+    )
 
 
 def read_las_header(path: Path) -> Any:
@@ -88,18 +95,23 @@ def _read_chunks(path: Path) -> list[dict[str, NDArray[Any]]]:
     with open_file(path, _HINT) as file:
         try:
             size = _checked_size(file)
-            # The parallel decompressor allocates the chunk size that the file states, which can abort the process.
+            # The parallel decompressor allocates the chunk size that the file states, which can
+            # abort the process.
             single_threaded = laspy.LazBackend.Lazrs
-            with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=single_threaded) as las:
+            with laspy.open(
+                file, closefd=False, read_evlrs=False, laz_backend=single_threaded
+            ) as las:
                 header = las.header
                 available = (size - header.offset_to_point_data) // header.point_format.size
                 if available < header.point_count and not header.are_points_compressed:
                     raise ValueError(
-                        f"too short: the header states {header.point_count} points, the file has {available}"
+                        f"too short: the header states {header.point_count} points, the file has "
+                        f"{available}"
                     )
                 with np.errstate(over="ignore", invalid="ignore"):  # a damaged scale or offset
                     return [_fields(chunk) for chunk in las.chunk_iterator(_CHUNK)]
-        # laspy and its decompressor raise many types of errors for corrupt files; PanicException is not an Exception.
+        # laspy and its decompressor raise many types of errors for corrupt files; PanicException is
+        # not an Exception.
         except BaseException as error:
             if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
                 raise
@@ -107,7 +119,9 @@ def _read_chunks(path: Path) -> list[dict[str, NDArray[Any]]]:
 
 
 def _checked_size(file: IO[bytes]) -> int:
-    """File size in bytes; ValueError if the records and points stated in the header do not fit into it."""
+    """File size in bytes; ValueError if the records and points stated in the header do not fit into
+    it.
+    """
     size = os.fstat(file.fileno()).st_size
     head = file.read(105)
     file.seek(0)
@@ -115,7 +129,9 @@ def _checked_size(file: IO[bytes]) -> int:
         raise ValueError("wrong signature")
     header_size, points_at, records = struct.unpack_from("<HII", head, 94)
     if not header_size + _RECORD_HEADER * records <= points_at <= size:
-        raise ValueError(f"{records} records and points from byte {points_at} do not fit into {size} bytes")
+        raise ValueError(
+            f"{records} records and points from byte {points_at} do not fit into {size} bytes"
+        )
     if head[104] & _COMPRESSED and (chunks := _chunk_count(file, points_at, size)) > size:
         raise ValueError(f"{chunks} chunks of points do not fit into {size} bytes")
     return size
@@ -144,11 +160,14 @@ GPS_EPOCH = 315_964_800
 """Unix time of 1980-01-06, seconds."""
 
 ADJUSTED = 1_000_000_000
-"""Seconds that LAS subtracts from GPS time, so that float64 has tenths of microseconds (adjusted standard GPS time)."""
+"""Seconds that LAS subtracts from GPS time, so that float64 has tenths of microseconds (adjusted
+standard GPS time)."""
 
-# Days at whose begin a leap second was inserted since the GPS epoch (IERS Bulletin C 70: none after 2017).
+# Days at whose begin a leap second was inserted since the GPS epoch (IERS Bulletin C 70: none after
+# 2017).
 _INSERTED = (
-    (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7), (1993, 7), (1994, 7),
+    (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7),
+    (1993, 7), (1994, 7),
     (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7), (2015, 7), (2017, 1),
 )  # fmt: skip
 _LEAPS = np.array([datetime(year, month, 1, tzinfo=UTC).timestamp() for year, month in _INSERTED])
@@ -160,7 +179,10 @@ def leap_offset(unix: float) -> float:
 
 
 def adjusted_gps_time(unix_ns: I64) -> F64:
-    """(N,) float64, seconds: adjusted standard GPS time of Unix times, (N,) int64 nanoseconds, of one sweep."""
+    """(N,) float64, seconds.
+
+    Adjusted standard GPS time of Unix times, (N,) int64 nanoseconds, of one sweep.
+    """
     offset = ADJUSTED + (leap_offset(float(unix_ns[0]) / 1e9) if len(unix_ns) else 0.0)
     whole, rest = np.divmod(unix_ns, 1_000_000_000)
     seconds: F64 = (whole - int(offset)) + rest * 1e-9

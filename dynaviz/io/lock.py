@@ -43,19 +43,29 @@ class Owner:
         import psutil
 
         started = psutil.Process().create_time()
-        return cls(os.getpid(), socket.gethostname(), started, command or shlex.join(sys.argv)[:500])
+        return cls(
+            os.getpid(), socket.gethostname(), started, command or shlex.join(sys.argv)[:500]
+        )
 
     @classmethod
     def of(cls, path: Path) -> Owner | None:
         """The process in a lock file; None if the file is gone or unreadable."""
         try:
             plain = json.loads(path.read_bytes())
-            return cls(int(plain["pid"]), str(plain["host"]), float(plain["started"]), str(plain["command"]))
+            return cls(
+                int(plain["pid"]),
+                str(plain["host"]),
+                float(plain["started"]),
+                str(plain["command"]),
+            )
         except (OSError, ValueError, TypeError, KeyError):
             return None
 
     def ended(self) -> bool:
-        """Whether the process has ended; False for one on another machine, of which this is unknown."""
+        """Whether the process has ended.
+
+        False for one on another machine, of which this is unknown.
+        """
         import psutil
 
         if self.host != socket.gethostname():
@@ -70,10 +80,12 @@ class Owner:
 def locked(folder: Path, command: str = "") -> Iterator[None]:
     """Let no other process write into a folder, which is created if it does not exist.
 
-    The lock is a file in the folder, with the command. A killed process leaves it behind; it then has no effect.
+    The lock is a file in the folder, with the command. A killed process leaves it behind; it then
+    has no effect.
 
     Raises:
-        DataError: if a process, named in the message, holds the lock, or the folder cannot be written.
+        DataError: if a process, named in the message, holds the lock, or the folder cannot be
+            written.
     """
     path = folder / NAME
     try:
@@ -90,12 +102,17 @@ def locked(folder: Path, command: str = "") -> Iterator[None]:
 
 
 def unfinished(folder: Path) -> DataError | None:
-    """The error for a folder whose writer was killed, or is still writing; None for any other folder."""
+    """The error for a folder whose writer was killed, or is still writing.
+
+    None for any other folder.
+    """
     owner = Owner.of(folder / NAME)
     if owner is None:
         return None
     if owner.ended():
-        return DataError(folder, "contains an unfinished run", hint=f"To finish it, run again: {owner.command}")
+        return DataError(
+            folder, "contains an unfinished run", hint=f"To finish it, run again: {owner.command}"
+        )
     return _in_use(folder, owner)
 
 
@@ -120,7 +137,8 @@ def _clear(path: Path) -> None:
     Raises:
         DataError: if the process is alive.
     """
-    guard = path.with_name(f"{NAME}.clearing")  # only one process at a time may remove a lock that is not its own
+    # only one process at a time may remove a lock that is not its own
+    guard = path.with_name(f"{NAME}.clearing")
     try:
         guard.mkdir()
     except FileExistsError:
@@ -147,7 +165,10 @@ def _age(path: Path) -> float:
 
 
 def _wait_for(guard: Path) -> None:
-    """Wait a moment for another process to remove an old lock; one that was killed at it has no effect later."""
+    """Wait a moment for another process to remove an old lock.
+
+    One that was killed at it has no effect later.
+    """
     time.sleep(0.01)
     if _age(guard) > _KILLED:
         with contextlib.suppress(OSError):

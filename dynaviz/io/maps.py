@@ -1,8 +1,8 @@
 """Write maps piece by piece, with attributes: PCD, PLY, LAS, LAZ, NPZ, and Autoware's divided maps.
 
 A file appears only when the ``with`` block that writes it succeeds. Every format stores attributes
-bit by bit. Coordinates are float64 in maps far from zero and in those of float64 sources, otherwise float32; LAS stores
-multiples of 0.1 mm, or of the scale of the file that was cleaned.
+bit by bit. Coordinates are float64 in maps far from zero and in those of float64 sources, otherwise
+float32; LAS stores multiples of 0.1 mm, or of the scale of the file that was cleaned.
 """
 
 from __future__ import annotations
@@ -29,17 +29,28 @@ from dynaviz.io.pcd import PcdWriter
 
 Dtypes = Mapping[str, np.dtype[Any]]
 
-_PLY_TYPES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
-              "f8": "double"}  # fmt: skip
+_PLY_TYPES = {
+    "i1": "char",
+    "u1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+}
 
 
 Append = Callable[[F64, Mapping[str, NDArray[Any]]], None]
-"""Appends points to a map: (N, 3) float64, metres, finite; and (N,) of each attribute by name, with all names."""
+"""Appends points to a map: (N, 3) float64, metres, finite; and (N,) of each attribute by name, with
+all names."""
 
 Writing = contextlib.AbstractContextManager[Append]
 
 
-def open_map(path: Path, fields: Dtypes, origin: F64, head: LasHead | None = None, double: bool = False) -> Writing:
+def open_map(
+    path: Path, fields: Dtypes, origin: F64, head: LasHead | None = None, double: bool = False
+) -> Writing:
     """Write a map; the suffix selects the format.
 
     Args:
@@ -54,11 +65,17 @@ def open_map(path: Path, fields: Dtypes, origin: F64, head: LasHead | None = Non
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     writer = _writer(path)
-    return las_map(path, fields, origin, head) if writer is las_map else writer(path, row_dtype(fields, origin, double))
+    return (
+        las_map(path, fields, origin, head)
+        if writer is las_map
+        else writer(path, row_dtype(fields, origin, double))
+    )
 
 
 def check_map_path(path: Path) -> None:
-    """Raise UsageError if the suffix of a path is not that of a map, MissingDependency if its package is missing."""
+    """Raise UsageError if the suffix of a path is not that of a map, MissingDependency if its
+    package is missing.
+    """
     if _writer(path) is las_map:
         import_laspy(path)
 
@@ -66,15 +83,25 @@ def check_map_path(path: Path) -> None:
 def _writer(path: Path) -> Callable[..., Writing]:
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
-        raise UsageError(f"{path}: unknown map format. Give a file that ends in {', '.join(sorted(_WRITERS))}")
+        raise UsageError(
+            f"{path}: unknown map format. Give a file that ends in {', '.join(sorted(_WRITERS))}"
+        )
     return writer
 
 
 def row_dtype(fields: Dtypes, origin: F64, double: bool = False) -> np.dtype[Any]:
-    """A point of a map, of the arguments of ``open_map``: x, y, z and the attributes, little-endian, no padding."""
+    """A point of a map, of the arguments of ``open_map``.
+
+    X, y, z and the attributes, little-endian, no padding.
+    """
     axis = np.dtype("<f8" if double or np.any(origin) else "<f4")
-    columns = {name: np.dtype(np.uint8) if dtype.kind == "b" else dtype for name, dtype in fields.items()}
-    return np.dtype([(name, axis) for name in "xyz"] + [(name, d.newbyteorder("<")) for name, d in columns.items()])
+    columns = {
+        name: np.dtype(np.uint8) if dtype.kind == "b" else dtype for name, dtype in fields.items()
+    }
+    return np.dtype(
+        [(name, axis) for name in "xyz"]
+        + [(name, d.newbyteorder("<")) for name, d in columns.items()]
+    )
 
 
 def rows_of(xyz: F64, fields: Mapping[str, NDArray[Any]], row: np.dtype[Any]) -> NDArray[Any]:
@@ -111,12 +138,17 @@ def _pcd_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
 @contextlib.contextmanager
 def _ply_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
     """PLY has no 64-bit integers: such attributes are left out with a warning."""
-    stored = np.dtype([(name, row[name]) for name in row.names or () if row[name].str[1:] in _PLY_TYPES])
+    stored = np.dtype(
+        [(name, row[name]) for name in row.names or () if row[name].str[1:] in _PLY_TYPES]
+    )
     if missing := [name for name in row.names or () if name not in (stored.names or ())]:
         problem = f"PLY cannot store {row[missing[0]]}; the map has no {', '.join(missing)}"
         warnings.warn(f"{path}: {problem}. Write PCD, LAZ or NPZ to keep them", stacklevel=2)
-    names, points = header_names(stored), 0
-    properties = [f"property {_PLY_TYPES[stored[name].str[1:]]} {text}" for name, text in names.items()]
+    names = header_names(stored)
+    points = 0
+    properties = [
+        f"property {_PLY_TYPES[stored[name].str[1:]]} {text}" for name, text in names.items()
+    ]
     with atomic_file(path) as temporary, open(temporary, "wb") as file:
 
         def append(xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
@@ -125,7 +157,12 @@ def _ply_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
             points += len(xyz)
 
         def write_header() -> None:
-            lines = ["ply", "format binary_little_endian 1.0", f"element vertex {points:018d}", *properties]
+            lines = [
+                "ply",
+                "format binary_little_endian 1.0",
+                f"element vertex {points:018d}",
+                *properties,
+            ]
             file.seek(0)
             file.write("\n".join([*lines, "end_header", ""]).encode())
 
@@ -136,7 +173,10 @@ def _ply_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
 
 @contextlib.contextmanager
 def _npz_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
-    """``points`` (N, 3), and an array of N values for each attribute; spooled row by row, written column by column."""
+    """``points`` (N, 3), and an array of N values for each attribute.
+
+    Spooled row by row, written column by column.
+    """
     points = 0
     with atomic_file(path) as part, tempfile.TemporaryFile(dir=part.parent) as spool:
 
@@ -146,7 +186,9 @@ def _npz_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
             points += len(xyz)
 
         yield append
-        columns: dict[str, tuple[list[str], tuple[int, ...]]] = {"points": (["x", "y", "z"], (points, 3))}
+        columns: dict[str, tuple[list[str], tuple[int, ...]]] = {
+            "points": (["x", "y", "z"], (points, 3))
+        }
         columns |= {name: ([name], (points,)) for name in (row.names or ())[3:]}
         with zipfile.ZipFile(part, "w") as archive:
             for name, (sources, shape) in columns.items():
@@ -174,7 +216,9 @@ def spooled_tiles(
 
         def append(xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
             rows = rows_of(xyz, fields, row)
-            tiles, of = np.unique(np.floor(xyz[:, :2] / size).astype(np.int64), axis=0, return_inverse=True)
+            tiles, of = np.unique(
+                np.floor(xyz[:, :2] / size).astype(np.int64), axis=0, return_inverse=True
+            )
             order = np.argsort(of.reshape(-1), kind="stable")
             ends = np.searchsorted(of.reshape(-1)[order], np.arange(1, len(tiles) + 1))
             for (x, y), chosen in zip(tiles.tolist(), np.split(order, ends)[:-1], strict=True):
@@ -194,14 +238,16 @@ DIVIDED_TILES = "pointcloud_map.pcd"
 def divided_map(
     folder: Path, fields: Dtypes, origin: F64, size: float = 20.0, double: bool = False
 ) -> Iterator[Append]:
-    """Write a folder with a PCD file per square tile, and ``pointcloud_map_metadata.yaml``, as Autoware reads it.
+    """Write a folder with a PCD file per square tile, and ``pointcloud_map_metadata.yaml``, as
+    Autoware reads it.
 
     Args:
         folder: the folder; tiles of an earlier map in it are removed.
         fields, origin, double: as for ``open_map``.
         size: edge of a tile, metres.
     """
-    row, tiles = row_dtype(fields, origin, double), folder / DIVIDED_TILES
+    row = row_dtype(fields, origin, double)
+    tiles = folder / DIVIDED_TILES
     with spooled_tiles(folder, row, size) as (append, spools):
         yield append
         tiles.mkdir(exist_ok=True)
@@ -241,8 +287,8 @@ def map_tiles(
 ) -> Iterator[Append]:
     """Write a folder with a file per tile, ``tile_X_Y.laz``, and ``tiles.json``.
 
-    The index contains the edge of a tile, and for each tile its file, column and row (the tile spans
-    ``[column, column + 1) * size`` in x), number of points and bounds in metres.
+    The index contains the edge of a tile, and for each tile its file, column and row (the tile
+    spans ``[column, column + 1) * size`` in x), number of points and bounds in metres.
 
     Args:
         folder: the folder; tiles of an earlier map in it are removed.
@@ -254,13 +300,20 @@ def map_tiles(
 
     def write_tile(column: int, line: int, spool: Path) -> dict[str, Any]:
         """Write the file of a tile; its entry in the index."""
-        name, points = f"tile_{column}_{line}{suffix}", 0
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        with open_map(folder / name, fields, origin, head, double) as append_to_tile, spool.open("rb") as file:
+        name = f"tile_{column}_{line}{suffix}"
+        points = 0
+        low = np.full(3, np.inf)
+        high = np.full(3, -np.inf)
+        with (
+            open_map(folder / name, fields, origin, head, double) as append_to_tile,
+            spool.open("rb") as file,
+        ):
             while len(rows := np.fromfile(file, row, _ROWS)):
                 xyz = np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64)
                 append_to_tile(xyz, {field: rows[field] for field in fields})
-                low, high, points = np.minimum(low, xyz.min(0)), np.maximum(high, xyz.max(0)), points + len(rows)
+                low = np.minimum(low, xyz.min(0))
+                high = np.maximum(high, xyz.max(0))
+                points = points + len(rows)
         bounds = {"low": low.round(4).tolist(), "high": high.round(4).tolist()}
         return {"file": name, "column": column, "row": line, "points": points, **bounds}
 
@@ -268,6 +321,8 @@ def map_tiles(
         yield append
         for old in (folder / INDEX, *folder.glob(f"tile_*{suffix}")):
             old.unlink(missing_ok=True)
-        tiles = [write_tile(column, line, spool) for (column, line), spool in sorted(spools.items())]
+        tiles = [
+            write_tile(column, line, spool) for (column, line), spool in sorted(spools.items())
+        ]
         index = {"size_m": size, "attributes": list(fields), "tiles": tiles}
         write_atomic(folder / INDEX, json.dumps(index, indent=1).encode())

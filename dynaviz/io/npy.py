@@ -15,7 +15,9 @@ from dynaviz.io.atomic import open_file
 
 @contextlib.contextmanager
 def open_npy(path: str | os.PathLike[str], kind: str, hint: str) -> Iterator[Any]:
-    """Open a file with ``numpy.load``: NPY as a memory-mapped array, NPZ as arrays by name, read on access.
+    """Open a file with ``numpy.load``.
+
+    NPY as a memory-mapped array, NPZ as arrays by name, read on access.
 
     Args:
         path: the file.
@@ -27,7 +29,8 @@ def open_npy(path: str | os.PathLike[str], kind: str, hint: str) -> Iterator[Any
     """
     with open_file(path, hint) as file:
         try:
-            # Map arrays: otherwise numpy allocates the size that the header states, however short the file is.
+            # Map arrays: otherwise numpy allocates the size that the header states, however short
+            # the file is.
             is_array = file.read(6) == b"\x93NUMPY"
             file.seek(0)
             yield np.load(path, "r") if is_array else np.load(file)

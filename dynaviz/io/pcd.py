@@ -1,4 +1,7 @@
-"""Point Cloud Data files (PCD 0.5 to 0.7): reads ascii, binary and binary_compressed, and writes binary."""
+"""Point Cloud Data files (PCD 0.5 to 0.7).
+
+Reads ascii, binary and binary_compressed, and writes binary.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,16 @@ from dynaviz.io.pcd_header import (
 from dynaviz.io.text import read_rows
 from dynaviz.spatial import geometry
 
-__all__ = ["ENCODINGS", "Field", "Pcd", "PcdHeader", "PcdWriter", "read_header", "read_pcd", "write_pcd"]
+__all__ = [
+    "ENCODINGS",
+    "Field",
+    "Pcd",
+    "PcdHeader",
+    "PcdWriter",
+    "read_header",
+    "read_pcd",
+    "write_pcd",
+]
 
 _MAX_RATIO = 88  # three bytes of LZF expand to at most 264
 _RETRY_HINT = "Write or copy the file again"
@@ -63,7 +75,11 @@ class Pcd:
         """
         if name not in self:
             fields = " ".join(self.rows.dtype.names or ())
-            raise DataError(self.path, f"field '{name}' is missing (found: {fields})", hint="Write the cloud with it")
+            raise DataError(
+                self.path,
+                f"field '{name}' is missing (found: {fields})",
+                hint="Write the cloud with it",
+            )
         return self.rows[name]
 
     @cached_property
@@ -78,7 +94,9 @@ class Pcd:
             column = self[name]
             if column.ndim != 1:
                 raise DataError(
-                    self.path, f"field {name} has more than one value per point", hint="Write it with COUNT 1"
+                    self.path,
+                    f"field {name} has more than one value per point",
+                    hint="Write it with COUNT 1",
                 )
             out[:, axis] = single(column)
         return out
@@ -106,7 +124,8 @@ def read_pcd(path: str | os.PathLike[str], rows: tuple[int, int] | None = None) 
 
     Args:
         path: the file.
-        rows: half-open range of points to read; a ``binary`` file is not read beyond it. Default: all points.
+        rows: half-open range of points to read; a ``binary`` file is not read beyond it. Default:
+            all points.
 
     Raises:
         DataError: if the file cannot be read, is corrupt or too short; names the line or byte.
@@ -145,7 +164,9 @@ def write_pcd(
 
 
 class PcdWriter:
-    """Writes a binary PCD file of unknown length piece by piece; it appears only when the ``with`` block succeeds.
+    """Writes a binary PCD file of unknown length piece by piece.
+
+    It appears only when the ``with`` block succeeds.
 
     Args:
         path: the file.
@@ -163,7 +184,8 @@ class PcdWriter:
         fields: Mapping[str, DTypeLike],
         T_world_sensor: ArrayLike | None = None,
     ) -> None:
-        self.path, self.points = Path(path), 0
+        self.path = Path(path)
+        self.points = 0
         self._fields = fields_from_dtypes({name: np.dtype(dtype) for name, dtype in fields.items()})
         self._T_world_sensor = T_world_sensor
         self._stack = contextlib.ExitStack()
@@ -191,7 +213,9 @@ class PcdWriter:
         self._file.write(header_text(self._fields, self.points, self._T_world_sensor))
 
 
-def _read_binary(file: IO[bytes], path: Path, header: PcdHeader, left: int, first: int, last: int) -> NDArray[Any]:
+def _read_binary(
+    file: IO[bytes], path: Path, header: PcdHeader, left: int, first: int, last: int
+) -> NDArray[Any]:
     _check_length(path, header, left, header.points * header.row.itemsize)
     file.seek(header.offset + first * header.row.itemsize)
     return np.fromfile(file, header.row, max(last - first, 0))
@@ -205,7 +229,9 @@ def _read_compressed(file: IO[bytes], path: Path, header: PcdHeader, left: int) 
     _check_length(path, header, left, 8 + packed)
     if size != header.points * header.row.itemsize or size > packed * _MAX_RATIO:
         expected = header.points * header.row.itemsize
-        problem = f"inconsistent size of compressed points: {packed} bytes to {size}, expected {expected}"
+        problem = (
+            f"inconsistent size of compressed points: {packed} bytes to {size}, expected {expected}"
+        )
         raise DataError(path, problem, at=f"byte {header.offset}", hint=_RETRY_HINT)
     columns = np.empty(size, np.uint8)
     source = kernels.as_readonly(np.fromfile(file, np.uint8, packed), np.uint8)
@@ -224,8 +250,15 @@ def _read_compressed(file: IO[bytes], path: Path, header: PcdHeader, left: int) 
 def _read_ascii(file: IO[bytes], path: Path, header: PcdHeader, left: int) -> NDArray[Any]:
     if not header.points:
         return np.empty(0, header.row)
-    _check_length(path, header, left, 2 * header.points * sum(field.count for field in header.fields) - 1)  # "0 0 0"
-    single_values = [(f"{k}.{i}", field.dtype) for k, field in enumerate(header.fields) for i in range(field.count)]
+    # "0 0 0"
+    _check_length(
+        path, header, left, 2 * header.points * sum(field.count for field in header.fields) - 1
+    )
+    single_values = [
+        (f"{k}.{i}", field.dtype)
+        for k, field in enumerate(header.fields)
+        for i in range(field.count)
+    ]
     rows = read_rows(path, file, np.dtype(single_values), header.lines)
     if rows.size < header.points:
         problem = f"contains {rows.size} points, but the header states {header.points}"
@@ -235,7 +268,10 @@ def _read_ascii(file: IO[bytes], path: Path, header: PcdHeader, left: int) -> ND
 
 def _check_length(path: Path, header: PcdHeader, left: int, needed: int) -> None:
     if left < needed:
-        problem = f"file is too short: {header.points} points need {needed} bytes from here, {left} are left"
+        problem = (
+            f"file is too short: {header.points} points need {needed} bytes from here, {left} are "
+            "left"
+        )
         raise DataError(path, problem, at=f"byte {header.offset}", hint=_RETRY_HINT)
 
 
@@ -251,12 +287,17 @@ def _byte_columns(fields: tuple[Field, ...], rows: U8) -> Iterator[U8]:
 def _pack(fields: tuple[Field, ...], arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
     """The points as rows, in the layout of ``binary`` files."""
     if set(arrays) != {field.name for field in fields}:
-        raise ValueError(f"expected the fields {', '.join(field.name for field in fields)}, not {', '.join(arrays)}")
+        raise ValueError(
+            f"expected the fields {', '.join(field.name for field in fields)}, not "
+            f"{', '.join(arrays)}"
+        )
     n = len(arrays[fields[0].name])
     rows = np.empty(n, [(field.name, field.dtype, (field.count,)) for field in fields])
     for field in fields:
         array = arrays[field.name]
         if array.shape != (n, field.count) and (array.shape, field.count) != ((n,), 1):
-            raise ValueError(f"field '{field.name}' has shape {array.shape}, not ({n},) or ({n}, {field.count})")
+            raise ValueError(
+                f"field '{field.name}' has shape {array.shape}, not ({n},) or ({n}, {field.count})"
+            )
         np.copyto(rows[field.name], array.reshape(n, field.count), casting="same_kind")
     return rows

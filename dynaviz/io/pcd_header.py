@@ -20,8 +20,21 @@ from dynaviz.spatial import geometry
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
-_KEYWORDS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-_MAX_LINE, _MAX_POINT = 1 << 16, 1 << 20  # bytes; a header with more is treated as corrupt
+_KEYWORDS = (
+    "VERSION",
+    "FIELDS",
+    "SIZE",
+    "TYPE",
+    "COUNT",
+    "WIDTH",
+    "HEIGHT",
+    "VIEWPOINT",
+    "POINTS",
+    "DATA",
+)
+# bytes; a header with more is treated as corrupt
+_MAX_LINE = 1 << 16
+_MAX_POINT = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +71,10 @@ class PcdHeader:
 
     @cached_property
     def row(self) -> np.dtype[Any]:
-        """Structured dtype of a point; padding has no name, and the first of two equal names is used."""
+        """Structured dtype of a point.
+
+        Padding has no name, and the first of two equal names is used.
+        """
         columns: dict[str, tuple[Any, int]] = {}
         offset = 0
         for field in self.fields:
@@ -66,8 +82,11 @@ class PcdHeader:
             if field.name != "_":
                 columns.setdefault(field.name, (dtype, offset))
             offset += field.dtype.itemsize * field.count
-        dtypes, offsets = [dtype for dtype, _ in columns.values()], [start for _, start in columns.values()]
-        return np.dtype({"names": list(columns), "formats": dtypes, "offsets": offsets, "itemsize": offset})
+        dtypes = [dtype for dtype, _ in columns.values()]
+        offsets = [start for _, start in columns.values()]
+        return np.dtype(
+            {"names": list(columns), "formats": dtypes, "offsets": offsets, "itemsize": offset}
+        )
 
 
 def read_header(path: str | os.PathLike[str]) -> PcdHeader:
@@ -81,7 +100,10 @@ def read_header(path: str | os.PathLike[str]) -> PcdHeader:
 
 
 def parse_header(path: Path, file: IO[bytes]) -> PcdHeader:
-    """Read the header of an open file and leave the file at the first point. Raises as ``read_header``."""
+    """Read the header of an open file and leave the file at the first point.
+
+    Raises as ``read_header``.
+    """
     words: dict[str, tuple[list[str], str]] = {}
     lines = 0
     while "DATA" not in words:
@@ -90,7 +112,10 @@ def parse_header(path: Path, file: IO[bytes]) -> PcdHeader:
         at = f"line {lines}"
         if not line.endswith(b"\n"):
             raise DataError(
-                path, "not a PCD file, or truncated in the header", at=at, hint="Write or copy the file again"
+                path,
+                "not a PCD file, or truncated in the header",
+                at=at,
+                hint="Write or copy the file again",
             )
         word, *values = line.decode("latin-1").split() or ["#"]
         word = {"COLUMNS": "FIELDS"}.get(word.upper(), word.upper())  # its name in version 0.5
@@ -102,11 +127,18 @@ def parse_header(path: Path, file: IO[bytes]) -> PcdHeader:
     return _validated(path, words, file.tell(), lines)
 
 
-def _validated(path: Path, words: dict[str, tuple[list[str], str]], offset: int, lines: int) -> PcdHeader:
+def _validated(
+    path: Path, words: dict[str, tuple[list[str], str]], offset: int, lines: int
+) -> PcdHeader:
     """The header from its words, or DataError at the first invalid line."""
 
     def invalid(word: str, problem: str) -> DataError:
-        return DataError(path, problem, at=words.get(word, ([], "header"))[1], hint="Write or copy the file again")
+        return DataError(
+            path,
+            problem,
+            at=words.get(word, ([], "header"))[1],
+            hint="Write or copy the file again",
+        )
 
     def values(word: str, kind: Callable[[str], Any], length: int, default: str) -> list[Any]:
         texts = words[word][0] if word in words else [default] * length
@@ -117,18 +149,23 @@ def _validated(path: Path, words: dict[str, tuple[list[str], str]], offset: int,
         if len(found) != length:
             shown = " ".join([word, *texts])[:80]
             raise invalid(
-                word, f"'{shown}' in the header: expected {length} valid {'value' if length == 1 else 'values'}"
+                word,
+                f"'{shown}' in the header: expected {length} valid "
+                f"{'value' if length == 1 else 'values'}",
             )
         return found
 
     names = words["FIELDS"][0] if "FIELDS" in words else []
     n = len(names)
     kinds = values("TYPE", _KINDS.__getitem__, n, "F")
-    sizes, counts = values("SIZE", int, n, "4"), values("COUNT", _count, n, "1")
+    sizes = values("SIZE", int, n, "4")
+    counts = values("COUNT", _count, n, "1")
     for name, kind, size, count in zip(names, kinds, sizes, counts, strict=True):
         if size not in _SIZES[kind] or count < 1:
             raise invalid(
-                "SIZE", f"field '{name[:40]}' has an invalid TYPE {kind.upper()}, SIZE {size} or COUNT {count}"
+                "SIZE",
+                f"field '{name[:40]}' has an invalid TYPE {kind.upper()}, SIZE {size} or COUNT "
+                f"{count}",
             )
     if not 0 < sum(size * count for size, count in zip(sizes, counts, strict=True)) <= _MAX_POINT:
         raise invalid("FIELDS", "the header has no FIELDS, or points larger than 1 MiB")
@@ -139,7 +176,10 @@ def _validated(path: Path, words: dict[str, tuple[list[str], str]], offset: int,
         raise invalid("POINTS", f"POINTS is {points}, but WIDTH x HEIGHT is {width} x {height}")
     data = values("DATA", ENCODINGS.index, 1, "")[0]
     viewpoint = np.array(values("VIEWPOINT", float, 7, "")) if "VIEWPOINT" in words else None
-    fields = tuple(Field(a, np.dtype(f"<{k}{s}"), c) for a, k, s, c in zip(names, kinds, sizes, counts, strict=True))
+    fields = tuple(
+        Field(a, np.dtype(f"<{k}{s}"), c)
+        for a, k, s, c in zip(names, kinds, sizes, counts, strict=True)
+    )
     return PcdHeader(fields, points, width, height, viewpoint, ENCODINGS[data], offset, lines)
 
 
@@ -154,10 +194,16 @@ def fields_from_dtypes(dtypes: Mapping[str, np.dtype[Any]]) -> tuple[Field, ...]
     """Fields for dtypes; ValueError if PCD does not support a name or type."""
     fields = []
     for name, dtype in dtypes.items():
-        base, shape = (np.dtype(np.uint8) if dtype.base == np.bool_ else dtype.base), dtype.shape
+        base = np.dtype(np.uint8) if dtype.base == np.bool_ else dtype.base
+        shape = dtype.shape
         if not (name.isascii() and name == "".join(name.split()) and name not in ("", "_")):
             raise ValueError(f"'{name}' is not a valid name for a PCD field")
-        if base.kind not in _SIZES or base.itemsize not in _SIZES[base.kind] or len(shape) > 1 or 0 in shape:
+        if (
+            base.kind not in _SIZES
+            or base.itemsize not in _SIZES[base.kind]
+            or len(shape) > 1
+            or 0 in shape
+        ):
             raise ValueError(f"field '{name}': PCD does not support {dtype}")
         fields.append(Field(name, base.newbyteorder("<"), shape[0] if shape else 1))
     if not fields:
@@ -166,7 +212,10 @@ def fields_from_dtypes(dtypes: Mapping[str, np.dtype[Any]]) -> tuple[Field, ...]
 
 
 def header_text(fields: tuple[Field, ...], points: int, T_world_sensor: ArrayLike | None) -> bytes:
-    """The header of a binary file. Its length does not depend on the number of points, so it can be rewritten later."""
+    """The header of a binary file.
+
+    Its length does not depend on the number of points, so it can be rewritten later.
+    """
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",

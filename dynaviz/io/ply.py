@@ -53,27 +53,40 @@ def read_ply_rows(path: str | os.PathLike[str]) -> np.ndarray[tuple[int], np.dty
         (N,) of a structured dtype with the properties of the file.
 
     Raises:
-        DataError: if the file cannot be read, is corrupt or too short, or its vertices have no x, y or z.
+        DataError: if the file cannot be read, is corrupt or too short, or its vertices have no x, y
+            or z.
     """
     path = Path(path)
     with open_file(path, "Give a PLY file") as file:
         order, elements, lines = _read_header(path, file)
         names = [element.name for element in elements]
         if "vertex" not in names:
-            raise DataError(path, "the header has no element 'vertex'", hint="Write the points as vertices")
-        before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
+            raise DataError(
+                path, "the header has no element 'vertex'", hint="Write the points as vertices"
+            )
+        before = elements[: names.index("vertex")]
+        vertex = elements[names.index("vertex")]
         _check_properties(path, [*before, vertex])
-        return (_read_ascii if order == "=" else _read_binary)(path, file, order, before, vertex, lines)
+        return (_read_ascii if order == "=" else _read_binary)(
+            path, file, order, before, vertex, lines
+        )
 
 
 def _read_header(path: Path, file: IO[bytes]) -> tuple[str, list[_Element], int]:
     """Byte order, elements and number of lines; leaves the file at the content."""
-    order, elements = "", list[_Element]()
+    order = ""
+    elements = list[_Element]()
     for number in itertools.count(1):
         line = file.readline(_MAX_LINE)
-        words, at = line.decode("latin-1").split(), f"line {number}"
+        words = line.decode("latin-1").split()
+        at = f"line {number}"
         if not line.endswith(b"\n") or (number == 1 and words != ["ply"]):
-            raise DataError(path, "not a PLY file, or truncated in the header", at=at, hint="Give a complete PLY file")
+            raise DataError(
+                path,
+                "not a PLY file, or truncated in the header",
+                at=at,
+                hint="Give a complete PLY file",
+            )
         try:
             match words:
                 case ["format", name, "1.0"]:
@@ -104,7 +117,9 @@ def _check_properties(path: Path, elements: list[_Element]) -> None:
         names = [name for name, _ in element.properties]
         if element.has_list or len(set(names)) < len(names):
             problem = f"element '{element.name}' has list properties or duplicate names"
-            raise DataError(path, problem, hint="Write the cloud with scalar properties, vertices first")
+            raise DataError(
+                path, problem, hint="Write the cloud with scalar properties, vertices first"
+            )
     if missing := [axis for axis in "xyz" if axis not in dict(vertex.properties)]:
         problem = f"the vertices have no {', '.join(missing)}"
         raise DataError(path, problem, hint="Write each vertex with x, y and z")
@@ -113,12 +128,14 @@ def _check_properties(path: Path, elements: list[_Element]) -> None:
 def _read_binary(
     path: Path, file: IO[bytes], order: str, before: list[_Element], vertex: _Element, lines: int
 ) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    row, start = vertex.dtype(order), file.tell()
+    row = vertex.dtype(order)
+    start = file.tell()
     start += sum(element.count * element.dtype(order).itemsize for element in before)
     left = os.fstat(file.fileno()).st_size - start
     if left < vertex.count * row.itemsize:
         problem = (
-            f"file is too short: {vertex.count} vertices need {vertex.count * row.itemsize} bytes, {left} are left"
+            f"file is too short: {vertex.count} vertices need {vertex.count * row.itemsize} bytes, "
+            f"{left} are left"
         )
         raise DataError(path, problem, at=f"byte {start}", hint=_RETRY_HINT)
     file.seek(start)

@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, single
 
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # PointField's INT8 ... FLOAT64
+# PointField's INT8 ... FLOAT64
+_TYPES = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    8: "f8",
+}
 
 
 def cloud_rows(message: Any) -> NDArray[Any]:
@@ -21,7 +31,8 @@ def cloud_rows(message: Any) -> NDArray[Any]:
         (height * width,) of a structured dtype with the message's fields.
 
     Raises:
-        ValueError: if a field does not fit into a point, or the data are shorter than the message states.
+        ValueError: if a field does not fit into a point, or the data are shorter than the message
+            states.
     """
     order = ">" if message.is_bigendian else "<"
     height, width, step, stride = (
@@ -31,23 +42,30 @@ def cloud_rows(message: Any) -> NDArray[Any]:
     if unknown := next((field for field in fields.values() if field.datatype not in _TYPES), None):
         raise ValueError(f"field '{unknown.name}' has unknown data type {unknown.datatype}")
     formats = [
-        (order + _TYPES[f.datatype], (f.count,)) if f.count > 1 else order + _TYPES[f.datatype] for f in fields.values()
+        (order + _TYPES[f.datatype], (f.count,)) if f.count > 1 else order + _TYPES[f.datatype]
+        for f in fields.values()
     ]
     dtype = np.dtype({
-        "names": list(fields), "formats": formats, "offsets": [f.offset for f in fields.values()], "itemsize": step,
+        "names": list(fields), "formats": formats, "offsets": [f.offset for f in fields.values()],
+        "itemsize": step,
     })  # fmt: skip  # raises if a field extends beyond the point
     stride = stride if height > 1 else width * step  # unused for one row; some drivers set it wrong
     data = np.ascontiguousarray(message.data, np.uint8)
     needed = (height - 1) * stride + width * step if height and width else 0
     if stride < width * step or len(data) < needed:
-        raise ValueError(f"{height} x {width} points of {step} bytes need {needed} bytes, the message has {len(data)}")
+        raise ValueError(
+            f"{height} x {width} points of {step} bytes need {needed} bytes, the message has "
+            f"{len(data)}"
+        )
     if not needed:
         return np.empty(0, dtype)
     return np.ndarray((height, width), dtype, data, strides=(stride, step)).reshape(-1)
 
 
 def cloud_xyz(rows: NDArray[Any]) -> F32:
-    """(N, 3) float32, metres, in the message's frame. Points at the origin are not returns and become NaN.
+    """(N, 3) float32, metres, in the message's frame.
+
+    Points at the origin are not returns and become NaN.
 
     Raises:
         ValueError: if x, y or z is missing.

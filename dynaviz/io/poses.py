@@ -1,4 +1,6 @@
-"""Read poses: KITTI (12 numbers per line), TUM (time, position, quaternion), CSV with a header, PCD of LIO-SAM."""
+"""Read poses: KITTI (12 numbers per line), TUM (time, position, quaternion), CSV with a header, PCD
+of LIO-SAM.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +20,38 @@ from dynaviz.io.text import read_table
 from dynaviz.spatial import geometry
 
 _FORMATS = (
-    "Write 12 numbers per line (KITTI, 3x4 matrix), 8 (TUM, time x y z qx qy qz qw) or 16 (4x4 matrix), "
-    "or CSV with a header: stamp or index, and x y z qx qy qz qw or T00 ... T33; or PCD with x y z roll pitch yaw time"
+    "Write 12 numbers per line (KITTI, 3x4 matrix), 8 (TUM, time x y z qx qy qz qw) or 16 (4x4 "
+    "matrix), "
+    "or CSV with a header: stamp or index, and x y z qx qy qz qw or T00 ... T33; or PCD with x y z "
+    "roll pitch yaw time"
 )
-_TIME = r"(?:time|timestamp|time_?stamp|stamp|t|sec|secs|seconds)\s*[_\[(]*(ns|nsec|us|ms|s|sec)?[\])]?"
+_TIME = (
+    r"(?:time|timestamp|time_?stamp|stamp|t|sec|secs|seconds)\s*[_\[(]*(ns|nsec|us|ms|s|sec)?[\])]?"
+)
 _SCALES = {"ns": 1, "nsec": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "sec": 10**9}
 _INDEX = r"index|idx|frame|frame_?id|scan|number|id"
 _POSITION = r"(?:t|p|pos|position|trans|translation)?[_.]?([xyz])"
 _ROTATION = r"(?:q|quat|quaternion|o|orientation|r|rot|rotation)[_.]?([xyzw])"
 _ENTRY = r"[a-z]*_?([0-3])_?([0-3])"
-_UNITS = ((17, 1), (14, 10**3), (11, 10**6))  # minimum number of digits of a time in ns, us, ms since 1970
-_UNIT_NAMES = ((20, "picoseconds"), (17, "nanoseconds"), (14, "microseconds"), (11, "milliseconds"), (0, "seconds"))
+# minimum number of digits of a time in ns, us, ms since 1970
+_UNITS = (
+    (17, 1),
+    (14, 10**3),
+    (11, 10**6),
+)
+_UNIT_NAMES = (
+    (20, "picoseconds"),
+    (17, "nanoseconds"),
+    (14, "microseconds"),
+    (11, "milliseconds"),
+    (0, "seconds"),
+)
 _LIMIT = 1 << 63  # nanoseconds since 1970, in the year 2262
 _LARGEST_NUMBER = 1 << 53  # whole numbers up to here are exact in float64
-_TIME_HINT = "Give times in s, ms, us or ns since 1970; in CSV state the unit in the header, such as stamp [ns]"
+_TIME_HINT = (
+    "Give times in s, ms, us or ns since 1970; in CSV state the unit in the header, such as stamp "
+    "[ns]"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +79,10 @@ class PoseFile:
 
     @property
     def lidars(self) -> dict[int, Intp]:
-        """Rows of each lidar, by its number; all rows as those of lidar 0 if the file does not tell lidars apart."""
+        """Rows of each lidar, by its number.
+
+        All rows as those of lidar 0 if the file does not tell lidars apart.
+        """
         lidar = np.zeros(len(self), np.int64) if self.lidar is None else self.lidar
         return {number: np.flatnonzero(lidar == number) for number in np.unique(lidar).tolist()}
 
@@ -68,7 +91,8 @@ def read_poses(path: str | os.PathLike[str]) -> PoseFile:
     """Read a pose file. The format is detected from the first line.
 
     Raises:
-        DataError: if the file cannot be read, or a line has a different length or is not a pose; names the line.
+        DataError: if the file cannot be read, or a line has a different length or is not a pose;
+            names the line.
     """
     path = Path(path)
     if path.suffix.lower() == ".pcd":
@@ -87,18 +111,39 @@ def read_poses(path: str | os.PathLike[str]) -> PoseFile:
         return PoseFile(path, "TUM", _quaternions(path, rows, range(1, 8)), _stamps(path, rows, 0))
     if columns in (12, 16):
         return PoseFile(path, "KITTI" if columns == 12 else "4x4", _matrices(path, rows, range(12)))
-    raise DataError(path, f"unknown pose format with {columns} values per line", at=f"line {rows[0][0]}", hint=_FORMATS)
+    raise DataError(
+        path,
+        f"unknown pose format with {columns} values per line",
+        at=f"line {rows[0][0]}",
+        hint=_FORMATS,
+    )
 
 
 def find_poses(folder: Path) -> Path | None:
-    """The pose file of a folder, found by the usual names: ``poses.*``, ``trajectory.*``, ..., or any ``*.tum``.
+    """The pose file of a folder, found by the usual names.
+
+    ``poses.*``, ``trajectory.*``, ..., or any ``*.tum``.
 
     Raises:
         DataError: if there are several.
     """
-    usual = ("poses.txt", "poses.tum", "poses.csv", "pose.txt", "pose.csv", "trajectory.txt", "trajectory.tum",
-             "trajectory.csv", "traj.txt", "traj.tum", "traj.csv", "groundtruth.txt")  # fmt: skip
-    found = sorted(set(folder.glob("*.tum")) | {folder / name for name in usual if (folder / name).is_file()})
+    usual = (
+        "poses.txt",
+        "poses.tum",
+        "poses.csv",
+        "pose.txt",
+        "pose.csv",
+        "trajectory.txt",
+        "trajectory.tum",
+        "trajectory.csv",
+        "traj.txt",
+        "traj.tum",
+        "traj.csv",
+        "groundtruth.txt",
+    )
+    found = sorted(
+        set(folder.glob("*.tum")) | {folder / name for name in usual if (folder / name).is_file()}
+    )
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
         raise DataError(folder, f"several pose files: {names}", hint="Choose one with --poses FILE")
@@ -110,10 +155,12 @@ def nanoseconds(text: str, scale: int | None = None) -> int:
 
     Args:
         text: a decimal number.
-        scale: nanoseconds per unit. None detects seconds, or ms, us or ns since 1970, by the number of digits.
+        scale: nanoseconds per unit. None detects seconds, or ms, us or ns since 1970, by the number
+            of digits.
 
     Raises:
-        ValueError: if the text is not a finite number, or a time that 64 bits cannot store in nanoseconds.
+        ValueError: if the text is not a finite number, or a time that 64 bits cannot store in
+            nanoseconds.
     """
     try:
         value = Decimal(text)
@@ -126,7 +173,10 @@ def nanoseconds(text: str, scale: int | None = None) -> int:
     if abs(stamp := round(value * unit)) >= _LIMIT:
         named = next(name for name, per_unit in _SCALES.items() if per_unit == unit)
         likely = next(name for min_digits, name in _UNIT_NAMES if digits >= min_digits)
-        raise ValueError(f"{text[:30]} {named} is after the year 2262; {digits} digits suggest {likely} since 1970")
+        raise ValueError(
+            f"{text[:30]} {named} is after the year 2262; {digits} digits suggest {likely} since "
+            "1970"
+        )
     return stamp
 
 
@@ -134,16 +184,27 @@ Rows = list[tuple[int, list[str]]]
 
 
 def _pcd(path: Path) -> PoseFile:
-    """A point per pose, with roll, pitch and yaw in radians (about x, then y, then z) and time, as LIO-SAM writes."""
+    """A point per pose, with roll, pitch and yaw in radians (about x, then y, then z) and time, as
+    LIO-SAM writes.
+    """
     from scipy.spatial.transform import Rotation
 
     rows = read_pcd(path)
-    table = np.column_stack([rows[name].astype(np.float64) for name in ("x", "y", "z", "roll", "pitch", "yaw")])
+    table = np.column_stack(
+        [rows[name].astype(np.float64) for name in ("x", "y", "z", "roll", "pitch", "yaw")]
+    )
     if not len(table) or not np.isfinite(table).all():
-        raise DataError(path, "contains no poses" if not len(table) else "a value is not finite", hint=_FORMATS)
+        raise DataError(
+            path, "contains no poses" if not len(table) else "a value is not finite", hint=_FORMATS
+        )
     poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, 3], poses[:, :3, :3] = table[:, :3], Rotation.from_euler("xyz", table[:, 3:]).as_matrix()
-    times = [(number, [repr(time)]) for number, time in enumerate(rows["time"].tolist(), 1)] if "time" in rows else None
+    poses[:, :3, 3] = table[:, :3]
+    poses[:, :3, :3] = Rotation.from_euler("xyz", table[:, 3:]).as_matrix()
+    times = (
+        [(number, [repr(time)]) for number, time in enumerate(rows["time"].tolist(), 1)]
+        if "time" in rows
+        else None
+    )
     return PoseFile(path, "PCD", poses, None if times is None else _stamps(path, times, 0))
 
 
@@ -151,27 +212,44 @@ def _csv(path: Path, header: str, lines: list[tuple[int, str]]) -> PoseFile:
     """Find the columns by name, in any order; other columns are ignored."""
     titles = [name.strip().strip("\"'").lower() for name in header.split(",")]
     names = [re.sub(r"\s*[\[(].*", "", title) for title in titles]
-    rows = [(n, [word.strip() for word in line.split(",")]) for n, line in lines if not line.startswith("#")]
+    rows = [
+        (n, [word.strip() for word in line.split(",")])
+        for n, line in lines
+        if not line.startswith("#")
+    ]
     for n, words in rows:
         if len(words) != len(names):
             raise DataError(
-                path, f"{len(words)} values, but the header has {len(names)} columns", at=f"line {n}", hint=_FORMATS
+                path,
+                f"{len(words)} values, but the header has {len(names)} columns",
+                at=f"line {n}",
+                hint=_FORMATS,
             )
 
     def columns(pattern: str, keys: list[str]) -> list[int] | None:
         """Positions of the columns that match a pattern with these keys; None if any is missing."""
-        found = {"".join(match.groups()): k for k, name in enumerate(names) if (match := re.fullmatch(pattern, name))}
+        found = {
+            "".join(match.groups()): k
+            for k, name in enumerate(names)
+            if (match := re.fullmatch(pattern, name))
+        }
         return [found[key] for key in keys] if all(key in found for key in keys) else None
 
-    position, rotation = columns(_POSITION, [*"xyz"]), columns(_ROTATION, [*"xyzw"])
+    position = columns(_POSITION, [*"xyz"])
+    rotation = columns(_ROTATION, [*"xyzw"])
     matrix = columns(_ENTRY, [f"{row}{column}" for row in range(3) for column in range(4)])
-    time = next(((k, match[1]) for k, title in enumerate(titles) if (match := re.fullmatch(_TIME, title))), None)
+    time = next(
+        ((k, match[1]) for k, title in enumerate(titles) if (match := re.fullmatch(_TIME, title))),
+        None,
+    )
     index = next((k for k, name in enumerate(names) if re.fullmatch(_INDEX, name)), None)
     if not rows or not (matrix or (position and rotation)):
         problem = f"the header has no pose columns: {header[:80]}" if rows else "contains no poses"
         raise DataError(path, problem, at="line 1", hint=_FORMATS)
     poses = (
-        _matrices(path, rows, matrix) if matrix else _quaternions(path, rows, [*(position or []), *(rotation or [])])
+        _matrices(path, rows, matrix)
+        if matrix
+        else _quaternions(path, rows, [*(position or []), *(rotation or [])])
     )
     stamps = None if time is None else _stamps(path, rows, time[0], _SCALES.get(time[1]))
     numbers = None if index is None else _numbers(path, rows, index)
@@ -190,7 +268,9 @@ def _floats(path: Path, rows: Rows, columns: range | list[int]) -> F64:
             if not np.isfinite(table[k]).all():
                 raise ValueError("a value is not finite")
         except ValueError as error:
-            raise DataError(path, f"not a valid pose ({error})", at=f"line {n}", hint=_FORMATS) from None
+            raise DataError(
+                path, f"not a valid pose ({error})", at=f"line {n}", hint=_FORMATS
+            ) from None
     return table
 
 
@@ -200,7 +280,9 @@ def _stamps(path: Path, rows: Rows, column: int, scale: int | None = None) -> I6
         try:
             stamps[k] = nanoseconds(words[column], scale)
         except ValueError as error:
-            raise DataError(path, f"not a valid time ({error})", at=f"line {n}", hint=_TIME_HINT) from None
+            raise DataError(
+                path, f"not a valid time ({error})", at=f"line {n}", hint=_TIME_HINT
+            ) from None
     return stamps
 
 
@@ -209,7 +291,12 @@ def _numbers(path: Path, rows: Rows, column: int) -> I64:
     numbers = _floats(path, rows, [column])[:, 0]
     for number, (n, words) in zip(numbers, rows, strict=True):
         if abs(number) >= _LARGEST_NUMBER:
-            raise DataError(path, f"not a valid scan number ({words[column][:30]})", at=f"line {n}", hint=_FORMATS)
+            raise DataError(
+                path,
+                f"not a valid scan number ({words[column][:30]})",
+                at=f"line {n}",
+                hint=_FORMATS,
+            )
     return numbers.astype(np.int64)
 
 
@@ -221,7 +308,9 @@ def _quaternions(path: Path, rows: Rows, columns: range | list[int]) -> F64:
         try:
             poses[k] = geometry.pose((x, y, z), (qw, qx, qy, qz))
         except ValueError as error:
-            raise DataError(path, f"not a valid pose ({error})", at=f"line {rows[k][0]}", hint=_FORMATS) from None
+            raise DataError(
+                path, f"not a valid pose ({error})", at=f"line {rows[k][0]}", hint=_FORMATS
+            ) from None
     return poses
 
 
@@ -230,13 +319,18 @@ def _matrices(path: Path, rows: Rows, columns: range | list[int]) -> F64:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = _floats(path, rows, columns).reshape(-1, 3, 4)
     if (invalid := _first_invalid_rotation(poses)) is not None:
-        problem = geometry.rotation_problem(poses[invalid, :3, :3]) or "the matrix is not a rotation"
+        problem = (
+            geometry.rotation_problem(poses[invalid, :3, :3]) or "the matrix is not a rotation"
+        )
         raise DataError(path, problem, at=f"line {rows[invalid][0]}", hint=_FORMATS)
     return poses
 
 
 def _first_invalid_rotation(poses: F64) -> int | None:
-    """Index of the first of (N, 4, 4) poses whose matrix scales, shears or mirrors; None if all are rotations."""
+    """Index of the first of (N, 4, 4) poses whose matrix scales, shears or mirrors.
+
+    None if all are rotations.
+    """
     R = poses[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         error = np.abs(geometry.compose(R, np.swapaxes(R, 1, 2)) - np.eye(3)).max((1, 2))
@@ -251,11 +345,14 @@ def read_kitti_poses(path: str | os.PathLike[str]) -> F64:
         (lines, 4, 4) float64, metres; T_world_camera for KITTI's own files.
 
     Raises:
-        DataError: if the file cannot be read, or a line does not have 12 numbers or a valid rotation.
+        DataError: if the file cannot be read, or a line does not have 12 numbers or a valid
+            rotation.
     """
     hint = "Each line needs 12 numbers, a 3x4 matrix of rotation and position"
     poses = np.tile(np.eye(4), (len(table := read_table(path, 12, hint)), 1, 1))
     poses[:, :3] = table.reshape(-1, 3, 4)
     if (invalid := _first_invalid_rotation(poses)) is not None:
-        raise DataError(path, "the matrix is not a rotation", at=f"row {invalid}, counted from 0", hint=hint)
+        raise DataError(
+            path, "the matrix is not a rotation", at=f"row {invalid}, counted from 0", hint=hint
+        )
     return poses

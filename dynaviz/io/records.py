@@ -21,7 +21,8 @@ def read_records(path: str | os.PathLike[str]) -> Iterator[dict[str, Any]]:
     """Read the records of a table in file order.
 
     Raises:
-        DataError: if the file cannot be read, is truncated or is not a list of records; names the record.
+        DataError: if the file cannot be read, is truncated or is not a list of records; names the
+            record.
     """
     with open_file(path, _HINT) as file:
         buffer = _Buffer(file)
@@ -45,8 +46,11 @@ class _Buffer:
     """A buffer of the characters that were read but not yet consumed."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file, self._text, self._position = file, "", 0
-        self._decode, self._json = codecs.getincrementaldecoder("utf-8")(), json.JSONDecoder()
+        self._file = file
+        self._text = ""
+        self._position = 0
+        self._decode = codecs.getincrementaldecoder("utf-8")()
+        self._json = json.JSONDecoder()
 
     def peek(self) -> str:
         """The next non-blank character, without consuming it."""
@@ -78,5 +82,6 @@ class _Buffer:
     def _read_chunk(self) -> bool:
         """Read the next chunk; False at the end of the file."""
         content = self._file.read(_CHUNK)
-        self._text, self._position = self._text[self._position :] + self._decode.decode(content, final=not content), 0
+        self._text = self._text[self._position :] + self._decode.decode(content, final=not content)
+        self._position = 0
         return bool(content)

@@ -12,14 +12,18 @@ from typing import Any
 from dynaviz.errors import DataError, DynavizError, MissingDependency
 
 SUFFIXES = (".bag", ".mcap", ".db3")
-_HINT = "Copy it again, or repair it: rosbag reindex (.bag), ros2 bag reindex (folder), mcap recover (.mcap)"
+_HINT = (
+    "Copy it again, or repair it: rosbag reindex (.bag), ros2 bag reindex (folder), mcap recover "
+    "(.mcap)"
+)
 
 
 class Bag:
     """An open bag. Its files are closed when the object is garbage-collected.
 
     Args:
-        path: a .bag, .mcap or .db3 file, a folder with metadata.yaml, or a folder with the .bag files of one drive.
+        path: a .bag, .mcap or .db3 file, a folder with metadata.yaml, or a folder with the .bag
+            files of one drive.
 
     Raises:
         DataError: if the bag is truncated or corrupt.
@@ -31,11 +35,15 @@ class Bag:
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ModuleNotFoundError:
-            raise MissingDependency(f"{path}: ROS bags need rosbags. Install it with: pip install rosbags") from None
-        self.path, self._lock = path, threading.Lock()
+            raise MissingDependency(
+                f"{path}: ROS bags need rosbags. Install it with: pip install rosbags"
+            ) from None
+        self.path = path
+        self._lock = threading.Lock()
         several = path.is_dir() and not (path / "metadata.yaml").exists()
         with self._errors():
-            # ROS 2 bags before Jazzy do not store message definitions; the common ones are the same in all releases.
+            # ROS 2 bags before Jazzy do not store message definitions; the common ones are the same
+            # in all releases.
             files = sorted(path.glob("*.bag")) if several else [path]
             self._reader = AnyReader(files, default_typestore=get_typestore(Stores.LATEST))
             self._reader.open()
@@ -51,20 +59,33 @@ class Bag:
         with self._errors():
             counts = {name: info.msgcount for name, info in self._reader.topics.items()}
             connections = self._reader.connections
-            if not all(isinstance(name, str) for each in connections for name in (each.topic, each.msgtype)):
+            if not all(
+                isinstance(name, str) for each in connections for name in (each.topic, each.msgtype)
+            ):
                 raise TypeError("a topic or its type is not text")
-            if len({(each.topic, each.msgtype) for each in connections}) > len({each.topic for each in connections}):
+            if len({(each.topic, each.msgtype) for each in connections}) > len(
+                {each.topic for each in connections}
+            ):
                 raise TypeError("a topic has messages of several types")
             return {each.topic: each.msgtype for each in connections if counts[each.topic]}
 
     @property
     def contents(self) -> dict[str, str]:
-        """For each topic that has messages: its type, their number, and their mean rate, in words."""
+        """For each topic that has messages.
+
+        Its type, their number, and their mean rate, in words.
+        """
         with self._errors():
             seconds = self._reader.duration / 1e9
             counts = {name: info.msgcount for name, info in self._reader.topics.items()}
-        rates = {name: f", {n / seconds:.1f} Hz" if seconds > 0 and n > 1 else "" for name, n in counts.items()}
-        return {name: f"{kind}, {counts[name]:,} messages{rates[name]}" for name, kind in sorted(self.topics.items())}
+        rates = {
+            name: f", {n / seconds:.1f} Hz" if seconds > 0 and n > 1 else ""
+            for name, n in counts.items()
+        }
+        return {
+            name: f"{kind}, {counts[name]:,} messages{rates[name]}"
+            for name, kind in sorted(self.topics.items())
+        }
 
     def messages(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
         """Messages in recorded order: topic, recording time in ns, and message.
@@ -72,7 +93,9 @@ class Bag:
         Raises:
             DataError: if the bag is corrupt.
         """
-        connections = [connection for connection in self._reader.connections if connection.topic in topics]
+        connections = [
+            connection for connection in self._reader.connections if connection.topic in topics
+        ]
         if connections:
             with self._errors():
                 for connection, time, raw in self._reader.messages(connections):
@@ -84,12 +107,20 @@ class Bag:
         Raises:
             DataError: if the bag is corrupt.
         """
-        connections = [connection for connection in self._reader.connections if connection.topic == topic]
+        connections = [
+            connection for connection in self._reader.connections if connection.topic == topic
+        ]
         with self._lock, self._errors():
-            for k, (connection, _, raw) in enumerate(self._reader.messages(connections, start=time, stop=time + 1)):
+            for k, (connection, _, raw) in enumerate(
+                self._reader.messages(connections, start=time, stop=time + 1)
+            ):
                 if k == nth:
                     return self._reader.deserialize(raw, connection.msgtype)
-        raise DataError(self.path, f"no message of {topic} at {time} ns", hint="The bag has changed: open it again")
+        raise DataError(
+            self.path,
+            f"no message of {topic} at {time} ns",
+            hint="The bag has changed: open it again",
+        )
 
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:

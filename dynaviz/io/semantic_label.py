@@ -1,4 +1,7 @@
-"""SemanticKITTI's ``labels/*.label`` files: a uint32 per point, lower 16 bits class, upper instance."""
+"""SemanticKITTI's ``labels/*.label`` files.
+
+A uint32 per point, lower 16 bits class, upper instance.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,9 @@ def read_semantic_labels(path: str | os.PathLike[str], points: int) -> tuple[U16
         size = os.fstat(file.fileno()).st_size
         if size != 4 * points:
             problem = f"has {size} bytes, but {points} points need {4 * points}"
-            raise DataError(path, problem, at=f"byte {min(size, 4 * points)}", hint="Copy the file again")
+            raise DataError(
+                path, problem, at=f"byte {min(size, 4 * points)}", hint="Copy the file again"
+            )
         pairs = np.fromfile(file, "<u2").reshape(-1, 2)
     return pairs[:, 0], pairs[:, 1]
 

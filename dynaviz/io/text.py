@@ -15,7 +15,9 @@ from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
 
 
-def read_rows(path: str | os.PathLike[str], file: Iterable[bytes], dtype: np.dtype[Any], line: int = 0) -> NDArray[Any]:
+def read_rows(
+    path: str | os.PathLike[str], file: Iterable[bytes], dtype: np.dtype[Any], line: int = 0
+) -> NDArray[Any]:
     """Read the rest of an open file; empty lines and lines that start with ``#`` are skipped.
 
     Args:
@@ -47,7 +49,9 @@ def read_rows(path: str | os.PathLike[str], file: Iterable[bytes], dtype: np.dty
         return np.loadtxt(itertools.chain([first], content), dtype, comments=None, ndmin=1)
     except (ValueError, OverflowError) as error:
         problem = f"cannot be read ({str(error).partition(';')[0][:80]})"
-        raise DataError(path, problem, at=f"line {line}", hint="Write or copy the file again") from None
+        raise DataError(
+            path, problem, at=f"line {line}", hint="Write or copy the file again"
+        ) from None
 
 
 def read_table(path: str | os.PathLike[str], columns: int, hint: str) -> F64:

@@ -1,4 +1,7 @@
-"""KITTI's ``velodyne/*.bin``, nuScenes' ``*.pcd.bin`` and others: float32 values per point, sensor frame."""
+"""KITTI's ``velodyne/*.bin``, nuScenes' ``*.pcd.bin`` and others.
+
+Float32 values per point, sensor frame.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,10 @@ from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
 
 _COLUMNS = (3, 4, 5, 6)
-_SAMPLE, _FEWEST, _FARTHEST = 2000, 50, 1e7  # points to look at, points needed, largest coordinate
+# points to look at, points needed, largest coordinate
+_SAMPLE = 2000
+_FEWEST = 50
+_FARTHEST = 1e7
 
 FIELDS = ("x", "y", "z", "intensity", "ring", "time")
 
@@ -36,8 +42,13 @@ def read_velodyne(path: str | os.PathLike[str], fields: int = 4) -> F32:
         size = os.fstat(file.fileno()).st_size
         if size % row:
             layout = f"{' '.join(FIELDS[:fields])}, float32"
-            problem = f"ends in the middle of a point: {size} bytes is not a multiple of {row} ({layout})"
-            hint = "Copy the file again. If it has other columns, open its folder as files:PATH, which detects them"
+            problem = (
+                f"ends in the middle of a point: {size} bytes is not a multiple of {row} ({layout})"
+            )
+            hint = (
+                "Copy the file again. If it has other columns, open its folder as files:PATH, "
+                "which detects them"
+            )
             raise DataError(Path(path), problem, at=f"byte {size - size % row}", hint=hint)
         return single(np.fromfile(file, "<f4")).reshape(-1, fields)
 
@@ -50,11 +61,13 @@ def velodyne_attributes(rows: F32, names: Sequence[str] = FIELDS) -> dict[str, F
 def detect_columns(path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Detect the columns of a file of float32 values from its content.
 
-    Scanners measure neighbours one after the other, so that consecutive points are close together. With a wrong number
-    of columns they are not. Four columns, as in KITTI, are assumed unless another number fits clearly better.
+    Scanners measure neighbours one after the other, so that consecutive points are close together.
+    With a wrong number of columns they are not. Four columns, as in KITTI, are assumed unless
+    another number fits clearly better.
 
     Returns:
-        The names of the columns: ``x y z``, ``intensity``, then ``ring`` for small whole numbers, otherwise ``time``.
+        The names of the columns: ``x y z``, ``intensity``, then ``ring`` for small whole numbers,
+        otherwise ``time``.
 
     Raises:
         DataError: if the file cannot be read, or its size fits no number of columns.
@@ -62,7 +75,11 @@ def detect_columns(path: str | os.PathLike[str]) -> tuple[str, ...]:
     with open_file(path, "Give a file of float32 x y z intensity") as file:
         size = os.fstat(file.fileno()).st_size
         values = single(np.fromfile(file, "<f4", _SAMPLE * 60))
-    spread = {n: _spread(values[: len(values) // n * n].reshape(-1, n)) for n in _COLUMNS if size % (4 * n) == 0}
+    spread = {
+        n: _spread(values[: len(values) // n * n].reshape(-1, n))
+        for n in _COLUMNS
+        if size % (4 * n) == 0
+    }
     if not spread:
         return FIELDS[:4]  # reading it reports the error
     best = next(n for n in spread if spread[n] <= 1.5 * min(spread.values()))
@@ -72,14 +89,22 @@ def detect_columns(path: str | os.PathLike[str]) -> tuple[str, ...]:
     names = list(FIELDS[:4][:best])
     for k in range(4, best):
         column = rows[:, k]
-        whole = len(column) and (column == np.round(column)).all() and column.min() >= 0 and column.max() < 256
+        whole = (
+            len(column)
+            and (column == np.round(column)).all()
+            and column.min() >= 0
+            and column.max() < 256
+        )
         name = "ring" if whole else "time"
         names.append(name if name not in names else f"column_{k}")
     return tuple(names)
 
 
 def _spread(rows: F32) -> float:
-    """How far consecutive points are apart compared with random ones; infinite if the values are no coordinates."""
+    """How far consecutive points are apart compared with random ones.
+
+    Infinite if the values are no coordinates.
+    """
     xyz = rows[:, :3].astype(np.float64)
     if len(xyz) < _FEWEST or not np.isfinite(xyz).all() or np.abs(xyz).max() > _FARTHEST:
         return np.inf

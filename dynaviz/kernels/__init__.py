@@ -1,15 +1,19 @@
-"""Numba kernels, loaded on first use: ``kernels.voxels.pack(...)`` imports numba and ``kernels/voxels.py``.
+"""Numba kernels, loaded on first use.
+
+``kernels.voxels.pack(...)`` imports numba and ``kernels/voxels.py``.
 
 Rules for a file in this folder:
 
 - It calls no function of another file, because numba's cache on disk does not notice changes there.
 - Its functions are compiled with ``cache=True``.
-- Results do not depend on the number of threads: threads write either equal values, or integers of their own.
-- Parallel kernels are called as ``kernels.FILE.function``, so that they can run one at a time where numba's threading
-  layer does not allow more (``workqueue``).
+- Results do not depend on the number of threads: threads write either equal values, or integers of
+  their own.
+- Parallel kernels are called as ``kernels.FILE.function``, so that they can run one at a time where
+  numba's threading layer does not allow more (``workqueue``).
 
-The first run is dominated by compilation. Do not assign an array to a slice: the formatting of its error message takes
-three seconds to compile. Give counters that are passed to other functions a type: a bare 0 compiles these twice.
+The first run is dominated by compilation. Do not assign an array to a slice: the formatting of its
+error message takes three seconds to compile. Give counters that are passed to other functions a
+type: a bare 0 compiles these twice.
 """
 
 from __future__ import annotations
@@ -33,11 +37,11 @@ COMPILING = "compiling kernels, first run only ..."
 LAYERS = ("omp", "workqueue", "tbb")
 """Threading layers of numba, in order of preference.
 
-- ``omp`` needs OpenMP: libgomp on Linux, vcomp140.dll on Windows, libomp on macOS. Each thread that calls a kernel has
-  its own team of threads, so several runs at once are safe.
+- ``omp`` needs OpenMP: libgomp on Linux, vcomp140.dll on Windows, libomp on macOS. Each thread that
+  calls a kernel has its own team of threads, so several runs at once are safe.
 - ``workqueue`` needs nothing. It serves one thread at a time, so parallel kernels take turns.
-- ``tbb`` is never reached, only selected with ``NUMBA_THREADING_LAYER=tbb``: numba takes whatever TBB another package
-  has loaded before, and warns if it is too old.
+- ``tbb`` is never reached, only selected with ``NUMBA_THREADING_LAYER=tbb``: numba takes whatever
+  TBB another package has loaded before, and warns if it is too old.
 """
 T = TypeVar("T")
 R = TypeVar("R")
@@ -58,7 +62,9 @@ def __getattr__(name: str) -> ModuleType:
 
 
 def _load(name: str) -> ModuleType:
-    """Import a module, without making it an attribute of this package, where another thread would find it at once."""
+    """Import a module, without making it an attribute of this package, where another thread would
+    find it at once.
+    """
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.find_spec(name)
@@ -74,7 +80,9 @@ def _load(name: str) -> ModuleType:
 
 
 def as_readonly(array: Any, dtype: DTypeLike) -> NDArray[Any]:
-    """A read-only, C-contiguous view or copy of an array, so that each kernel is compiled for one type only."""
+    """A read-only, C-contiguous view or copy of an array, so that each kernel is compiled for one
+    type only.
+    """
     view = np.ascontiguousarray(array, dtype).view()
     view.flags.writeable = False
     return view
@@ -89,13 +97,20 @@ def set_threads(threads: int | None) -> int:
 
 
 def threads_in_use() -> int:
-    """The number of threads that kernels use, which is the number of lanes of scratch memory that they need."""
+    """The number of threads that kernels use, which is the number of lanes of scratch memory that
+    they need.
+    """
     return int(_numba().get_num_threads())
 
 
 def each(call: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """The results of a call for each item. This thread and others take the items in order; each runs kernels alone."""
-    waiting, results, threads = enumerate(list(items)), dict[int, R](), threads_in_use()
+    """The results of a call for each item. This thread and others take the items in order.
+
+    Each runs kernels alone.
+    """
+    waiting = enumerate(list(items))
+    results = dict[int, R]()
+    threads = threads_in_use()
 
     def work() -> None:
         for number, item in waiting:  # the threads share the iterator
@@ -103,7 +118,9 @@ def each(call: Callable[[T], R], items: Iterable[T]) -> list[R]:
 
     set_threads(1)
     try:
-        with ThreadPoolExecutor(max(threads - 1, 1), initializer=set_threads, initargs=(1,)) as pool:
+        with ThreadPoolExecutor(
+            max(threads - 1, 1), initializer=set_threads, initargs=(1,)
+        ) as pool:
             others = [pool.submit(work) for _ in range(threads - 1)]
             work()
         for other in others:
@@ -114,7 +131,10 @@ def each(call: Callable[[T], R], items: Iterable[T]) -> list[R]:
 
 
 def threading_layer() -> str | None:
-    """The threading layer of numba in this process, one of ``LAYERS``; None if no kernel has run yet."""
+    """The threading layer of numba in this process, one of ``LAYERS``.
+
+    None if no kernel has run yet.
+    """
     try:
         return str(sys.modules["numba"].threading_layer())
     except (KeyError, ValueError):  # not imported, not chosen
@@ -130,10 +150,12 @@ def compiled() -> bool:
 def _safe_for_threads(module: ModuleType) -> ModuleType:
     """The module, or a copy whose kernels run one at a time.
 
-    Several threads may call parallel kernels at once with the threading layers ``omp`` and ``tbb``. With ``workqueue``
-    that ends the process.
+    Several threads may call parallel kernels at once with the threading layers ``omp`` and ``tbb``.
+    With ``workqueue`` that ends the process.
     """
-    kernels = {name: value for name, value in vars(module).items() if hasattr(value, "targetoptions")}
+    kernels = {
+        name: value for name, value in vars(module).items() if hasattr(value, "targetoptions")
+    }
     if not any(kernel.targetoptions.get("parallel") for kernel in kernels.values()):
         return module
     threads_in_use()  # loads the threading layer
@@ -175,7 +197,8 @@ def _postpone_blas() -> None:
     """
     from numba.np import linalg
 
-    check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    check = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None
     try:
         from numba.np import arraymath  # noqa: F401
     finally:
@@ -183,7 +206,8 @@ def _postpone_blas() -> None:
 
 
 def _watch_compilation() -> None:
-    """Print a message on the first compilation of this process, and collect no garbage while a kernel is compiled.
+    """Print a message on the first compilation of this process, and collect no garbage while a
+    kernel is compiled.
 
     The compiler makes so many objects that collections would take a fifth of its time.
     """

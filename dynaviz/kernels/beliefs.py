@@ -1,14 +1,17 @@
-"""Beliefs of voxels that are occupied or free, updated by their distance from the nearest occupied voxel.
+"""Beliefs of voxels that are occupied or free, updated by their distance from the nearest occupied
+voxel.
 
-A voxel is block * 512 + index in the block. Bits are (B, 8) uint64: bit v of word w is voxel 64 w + v of a block; a
-word is a layer in x, and v = 8 y + z. ``neighbours`` (B, 27) are the numbers of the blocks around each block, itself at
-13, x slowest; -1 if absent.
+A voxel is block * 512 + index in the block. Bits are (B, 8) uint64: bit v of word w is voxel 64 w +
+v of a block; a word is a layer in x, and v = 8 y + z. ``neighbours`` (B, 27) are the numbers of the
+blocks around each block, itself at 13, x slowest; -1 if absent.
 """
 
 import numpy as np
 from numba import njit, prange
 
-UNKNOWN, OCCUPIED, FREE = 0, 1, 2
+UNKNOWN = 0
+OCCUPIED = 1
+FREE = 2
 CAP = 75  # square voxels: farther voxels have the same likelihood in double precision
 RADIUS = 8  # voxels: the largest offset along one axis below CAP
 SIDE = 3 * RADIUS  # voxels: a block and those around it
@@ -22,12 +25,15 @@ def _nearest() -> np.ndarray:
 
 
 LOWEST = _nearest()
-HIGHEST = np.array([9 if n == 0 else 8 - (n.bit_length() - 1) for n in range(512)], np.uint8)  # counted from bit 8
+# counted from bit 8
+HIGHEST = np.array([9 if n == 0 else 8 - (n.bit_length() - 1) for n in range(512)], np.uint8)
 
 
 @njit(cache=True, nogil=True)
 def _columns(block, neighbours, sources, along, filled):
-    """Squared distances along z to the nearest source, (24, 192) uint8, and which layers in x have a source."""
+    """Squared distances along z to the nearest source, (24, 192) uint8, and which layers in x have
+    a source.
+    """
     for x in range(SIDE):
         filled[x] = False
         row = (x >> 3) * 9
@@ -52,7 +58,9 @@ def _columns(block, neighbours, sources, along, filled):
 
 @njit(cache=True, nogil=True)
 def _distances(block, neighbours, sources, along, across, filled, squared):
-    """Squared distances of a block's voxels from the nearest source, (8, 64) uint8, at most CAP; exact.
+    """Squared distances of a block's voxels from the nearest source, (8, 64) uint8, at most CAP.
+
+    Exact.
 
     One axis after another: along z, then the least over y, then over x.
     """
@@ -83,15 +91,18 @@ def _filtered(occupied, remembered, likelihood, change):
         stay = 1.0 - change
         occupied, free = stay * occupied + change * free, change * occupied + stay * free
     else:
-        occupied, free = change, change
-    occupied, free = likelihood * occupied, (1.0 - likelihood) * free
+        occupied = change
+        free = change
+    occupied = likelihood * occupied
+    free = (1.0 - likelihood) * free
     total = occupied + free
     return occupied / total, free / total
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def update(
-    blocks, observed, sources, neighbours, number, memory, truncate, likelihoods, change, sure, belief, seen, since,
+    blocks, observed, sources, neighbours, number, memory, truncate, likelihoods, change, sure,
+    belief, seen, since,
     state, known, turned, field, lanes,
 ):  # fmt: skip
     """Update the voxels that a scan observed.
@@ -115,8 +126,10 @@ def update(
         lanes: number of threads.
     """
     for lane in prange(lanes):
-        along, across = np.empty((SIDE, SIDE * 8), np.uint8), np.empty((SIDE, 64), np.uint8)
-        filled, squared = np.empty(SIDE, np.bool_), np.empty((8, 64), np.uint8)
+        along = np.empty((SIDE, SIDE * 8), np.uint8)
+        across = np.empty((SIDE, 64), np.uint8)
+        filled = np.empty(SIDE, np.bool_)
+        squared = np.empty((8, 64), np.uint8)
         for n in range(lane, len(blocks), lanes):
             b = blocks[n]
             _distances(b, neighbours, sources, along, across, filled, squared)
@@ -124,7 +137,9 @@ def update(
                 for v in range(512):
                     field[n, v] = squared[v >> 6, v & 63]
             for w in range(8):
-                word, new, decided = observed[n, w], np.uint64(0), np.uint64(0)
+                word = observed[n, w]
+                new = np.uint64(0)
+                decided = np.uint64(0)
                 if word == 0:
                     continue
                 for j in range(64):
@@ -136,16 +151,21 @@ def update(
                     if forgotten:
                         state[b, v] = UNKNOWN
                     remembered = last > 0 and not forgotten
-                    occupied, free = _filtered(belief[b, v], remembered, likelihoods[squared[w, j]], change)
-                    belief[b, v], seen[b, v] = occupied, number
+                    occupied, free = _filtered(
+                        belief[b, v], remembered, likelihoods[squared[w, j]], change
+                    )
+                    belief[b, v] = occupied
+                    seen[b, v] = number
                     best = FREE if free > occupied else OCCUPIED
                     if max(occupied, free) > sure and state[b, v] != best:
                         if state[b, v] == FREE:
                             new |= ONE << np.uint64(j)
-                        state[b, v], since[b, v] = best, number
+                        state[b, v] = best
+                        since[b, v] = number
                     if state[b, v] != UNKNOWN:
                         decided |= ONE << np.uint64(j)
-                turned[b, w], known[b, w] = new, known[b, w] & ~word | decided
+                turned[b, w] = new
+                known[b, w] = known[b, w] & ~word | decided
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -156,8 +176,9 @@ def expire(blocks, oldest, seen, known, first):
         blocks: (K,) int32, blocks to look at.
         seen: (B, 512) int32, as in ``update``.
         known: (B, 8) uint64, as in ``update``. Modified.
-        first: (B,) int32, a scan before which no voxel with a known bit was last observed; blocks whose ``first`` is
-            after ``oldest`` are skipped. Set to the first such scan, NEVER without known bits.
+        first: (B,) int32, a scan before which no voxel with a known bit was last observed; blocks
+            whose ``first`` is after ``oldest`` are skipped. Set to the first such scan, NEVER
+            without known bits.
     """
     for n in prange(len(blocks)):
         b = blocks[n]
@@ -195,7 +216,8 @@ def erase(used, blocks, size, origin, reach, seen, state, known):
         b = used[n]
         farthest = 0.0
         for axis in range(3):
-            low, high = (blocks[b, axis] << 3) * size - origin[axis], (blocks[b, axis] << 3 | 7) * size - origin[axis]
+            low = (blocks[b, axis] << 3) * size - origin[axis]
+            high = (blocks[b, axis] << 3 | 7) * size - origin[axis]
             farthest += max(low * low, high * high)
         if farthest <= reach * reach:
             continue
@@ -205,7 +227,8 @@ def erase(used, blocks, size, origin, reach, seen, state, known):
             y = (blocks[b, 1] << 3 | (v >> 3 & 7)) * size - origin[1]
             z = (blocks[b, 2] << 3 | (v & 7)) * size - origin[2]
             if x * x + y * y + z * z > reach * reach:
-                seen[b, v], state[b, v] = 0, UNKNOWN
+                seen[b, v] = 0
+                state[b, v] = UNKNOWN
                 known[b, v >> 6] &= ~(ONE << np.uint64(v & 63))
             elif seen[b, v]:
                 kept[n] = True

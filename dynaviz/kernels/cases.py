@@ -1,4 +1,7 @@
-"""Cells of many frames joined into cases: cells that touch within a few frames belong to one case."""
+"""Cells of many frames joined into cases.
+
+Cells that touch within a few frames belong to one case.
+"""
 
 import numpy as np
 from numba import njit
@@ -6,12 +9,17 @@ from numba import njit
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.kernels.keys import BITS, MASK, REACH, X_SHIFT, Y_SHIFT
 
-GROUP, CASE, LAST = 0, 1, 2  # columns of a remembered cell
+# columns of a remembered cell
+GROUP = 0
+CASE = 1
+LAST = 2
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(key: np.int64, mask: int) -> np.int64:
-    """First slot of a key; four cells in a vertical row get adjacent slots, since neighbours are looked up together."""
+    """First slot of a key; four cells in a vertical row get adjacent slots, since neighbours are
+    looked up together.
+    """
     h = np.uint64(key >> 2) * np.uint64(0x9E3779B97F4A7C15)
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
     return (np.int64(h >> np.uint64(32)) << 2 | key & 3) & mask
@@ -58,7 +66,9 @@ def link(
     high: I32,
     used: int,
 ) -> tuple[I32, Bool, int, int]:
-    """Assign the points of a frame to cases: the case of an adjacent cell of the same group, or a new one.
+    """Assign the points of a frame to cases.
+
+    The case of an adjacent cell of the same group, or a new one.
 
     Args:
         keys: (N,) int64 packed cell of each point.
@@ -78,20 +88,27 @@ def link(
         fresh: number of cells added to the table.
         used: number of cases after the call.
     """
-    cases, first, fresh = np.empty(len(keys), np.int32), np.zeros(len(keys), np.bool_), 0
+    cases = np.empty(len(keys), np.int32)
+    first = np.zeros(len(keys), np.bool_)
+    fresh = 0
     for i in range(len(keys)):
-        key, group = keys[i], groups[i]
+        key = keys[i]
+        group = groups[i]
         own = _find(table, cells, key, group)
         known = table[own] >= 0
-        if known and frame - cells[own, LAST] <= gap:  # then it is already joined to the adjacent cells
-            cases[i], first[i] = cells[own, CASE], cells[own, LAST] != frame
+        if (
+            known and frame - cells[own, LAST] <= gap
+        ):  # then it is already joined to the adjacent cells
+            cases[i] = cells[own, CASE]
+            first[i] = cells[own, LAST] != frame
             cells[own, LAST] = frame
             continue
         case = used  # a new case, until it is joined to a neighbour's
         parent[case] = case
         for axis in range(3):
             at = np.int32((key >> np.int64(X_SHIFT - BITS * axis) & MASK) - REACH)
-            low[case, axis], high[case, axis] = at, at
+            low[case, axis] = at
+            high[case, axis] = at
         for dx in range(-1, 2):
             for dy in range(-1, 2):
                 for dz in range(-1, 2):
@@ -99,9 +116,11 @@ def link(
                     s = _find(table, cells, key + step, group)
                     if table[s] < 0 or frame - cells[s, LAST] > gap:
                         continue
-                    a, b = _root(parent, case), _root(parent, cells[s, CASE])
+                    a = _root(parent, case)
+                    b = _root(parent, cells[s, CASE])
                     if a != b and _fits(low, high, a, b, limit):
-                        keep, gone = min(a, b), max(a, b)
+                        keep = min(a, b)
+                        gone = max(a, b)
                         parent[gone] = keep
                         for axis in range(3):
                             low[keep, axis] = min(low[keep, axis], low[gone, axis])
@@ -109,8 +128,12 @@ def link(
         root = _root(parent, case)
         used += root == used
         fresh += not known
-        table[own], cells[own, GROUP], cells[own, CASE], cells[own, LAST] = key, group, root, frame
-        cases[i], first[i] = root, True
+        table[own] = key
+        cells[own, GROUP] = group
+        cells[own, CASE] = root
+        cells[own, LAST] = frame
+        cases[i] = root
+        first[i] = True
     return cases, first, fresh, used
 
 
@@ -126,7 +149,8 @@ def roots(parent: I32, used: int) -> I32:
 @njit(cache=True, nogil=True)
 def remember(keys: I64, cells: I64, size: int) -> tuple[I64, I64]:
     """A new table of ``size`` rows, a power of two, with the cells whose key is not -1."""
-    table, filled = np.full(size, np.int64(-1)), np.empty((size, 3), np.int64)
+    table = np.full(size, np.int64(-1))
+    filled = np.empty((size, 3), np.int64)
     for i in range(len(keys)):
         if keys[i] >= 0:
             s = _find(table, filled, keys[i], cells[i, GROUP])
@@ -161,7 +185,8 @@ def fold(
 
     Returns:
         numbers: (K,) int64: the cases with points, ascending.
-        counts: (K, 5) int64: position of a point; numbers of points and of first, touching and ground points.
+        counts: (K, 5) int64: position of a point; numbers of points and of first, touching and
+            ground points.
         low, high: (K, 4) float32, metres: lowest and highest coordinates and range.
         sums: (K,) float64, metres: sum of ranges.
         crossed: (K, codes) int64: points by reason.
@@ -174,19 +199,25 @@ def fold(
         if row[case] == 0:
             row[case] = n
             n += 1
-    numbers, counts, sums = np.empty(n, np.int64), np.zeros((n, 5), np.int64), np.zeros(n)
-    low, high = np.full((n, 4), np.float32(np.inf)), np.full((n, 4), np.float32(-np.inf))
+    numbers = np.empty(n, np.int64)
+    counts = np.zeros((n, 5), np.int64)
+    sums = np.zeros(n)
+    low = np.full((n, 4), np.float32(np.inf))
+    high = np.full((n, 4), np.float32(-np.inf))
     crossed = np.zeros((n, codes), np.int64)
     for i in range(len(cases)):
         k = row[cases[i]]
-        numbers[k], counts[k, 0] = cases[i], i
+        numbers[k] = cases[i]
+        counts[k, 0] = i
         counts[k, 1] += 1
         counts[k, 2] += first[i]
         counts[k, 3] += touching[i]
         counts[k, 4] += ground[i]
         for axis in range(3):
-            low[k, axis], high[k, axis] = min(low[k, axis], points[i, axis]), max(high[k, axis], points[i, axis])
-        low[k, 3], high[k, 3] = min(low[k, 3], ranges[i]), max(high[k, 3], ranges[i])
+            low[k, axis] = min(low[k, axis], points[i, axis])
+            high[k, axis] = max(high[k, axis], points[i, axis])
+        low[k, 3] = min(low[k, 3], ranges[i])
+        high[k, 3] = max(high[k, 3], ranges[i])
         sums[k] += ranges[i]
         crossed[k, min(reasons[i], codes - 1)] += 1
     return numbers, counts, low, high, sums, crossed

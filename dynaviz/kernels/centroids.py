@@ -12,8 +12,8 @@ from dynaviz.kernels.keys import BITS, REACH
 def number(points, size):
     """Number the voxels of a cloud.
 
-    Indices are computed from float32 products, as in PCL's VoxelGrid, so that points on a border fall into the same
-    voxel as there.
+    Indices are computed from float32 products, as in PCL's VoxelGrid, so that points on a border
+    fall into the same voxel as there.
 
     Args:
         points: (N, 3) float32, metres.
@@ -26,7 +26,9 @@ def number(points, size):
     numbers = np.empty(len(points), np.int32)
     slots = np.full(1 << 12, np.int32(-1))
     keys = np.empty(1 << 11, np.int64)
-    shift, mask = np.uint64(64 - 12), len(slots) - 1  # the top bits of a product depend on all bits of the key
+    # the top bits of a product depend on all bits of the key
+    shift = np.uint64(64 - 12)
+    mask = len(slots) - 1
     inverse = np.float32(1.0 / size)
     voxels = 0
     for i in range(len(points)):
@@ -54,7 +56,8 @@ def number(points, size):
                 more[v] = keys[v]
             keys = more
             slots = np.full(4 * voxels, np.int32(-1))
-            shift, mask = shift - np.uint64(1), len(slots) - 1
+            shift = shift - np.uint64(1)
+            mask = len(slots) - 1
             for v in range(voxels):
                 s = np.int64((np.uint64(keys[v]) * np.uint64(0x9E3779B97F4A7C15)) >> shift)
                 while slots[s] >= 0:
@@ -65,7 +68,10 @@ def number(points, size):
 
 @njit(cache=True, nogil=True)
 def means(points, numbers, voxels):
-    """(V, 3) float32, metres: centroid of the points (N, 3) of each voxel, numbered (N,); -1 is ignored."""
+    """(V, 3) float32, metres: centroid of the points (N, 3) of each voxel, numbered (N,).
+
+    -1 is ignored.
+    """
     sums = np.zeros((voxels, 3), np.float64)
     counts = np.zeros(voxels, np.int64)
     for i in range(len(points)):

@@ -1,29 +1,35 @@
 """Counts of how often each voxel of a block grid was hit, seen clear, and crossed near hits.
 
-Bits are those of ``raycast.collect``: bit v of word w is voxel 64 w + v of a block; the row after the last is empty.
+Bits are those of ``raycast.collect``: bit v of word w is voxel 64 w + v of a block; the row after
+the last is empty.
 """
 
 import numpy as np
 from numba import njit, prange
 
 MOST = np.uint16(65535)
-LOW, ONE, EIGHT = np.uint64(0x0101010101010101), np.uint64(1), np.uint64(8)
+LOW = np.uint64(0x0101010101010101)
+ONE = np.uint64(1)
+EIGHT = np.uint64(8)
 
 
 @njit(cache=True, nogil=True)
 def begins(goals, scratch):
-    """Where rays to voxels (K,) int64 without duplicates begin, to leave out what others from the same origin cross.
+    """Where rays to voxels (K,) int64 without duplicates begin, to leave out what others from the
+    same origin cross.
 
-    Of a cube of 2^3 voxels, only the first one gets a ray: the others would end a voxel beside it. In the middle, that
-    is the distance between rays to a cube of 4^3, and at a quarter of the way between those to a block: except the
-    first one, they begin there.
+    Of a cube of 2^3 voxels, only the first one gets a ray: the others would end a voxel beside it.
+    In the middle, that is the distance between rays to a cube of 4^3, and at a quarter of the way
+    between those to a block: except the first one, they begin there.
 
     Returns:
-        (K,) float32: share of the way; 1 for no ray. ``scratch`` (blocks, 8) int64 is zero before and after.
+        (K,) float32: share of the way; 1 for no ray. ``scratch`` (blocks, 8) int64 is zero before
+        and after.
     """
     found = np.empty(len(goals), np.float32)
     for k in range(len(goals)):
-        block, v = goals[k] >> 9, goals[k] & 511
+        block = goals[k] >> 9
+        v = goals[k] & 511
         small = np.int64(1) << ((v >> 7) << 4 | (v >> 4 & 3) << 2 | v >> 1 & 3)
         large = np.int64(1) << (v >> 8 << 2 | (v >> 5 & 1) << 1 | v >> 2 & 1)
         begin = 0.5 if scratch[block, 1] & large else 0.25 if scratch[block, 1] else 0.0
@@ -31,7 +37,8 @@ def begins(goals, scratch):
         scratch[block, 0] |= small
         scratch[block, 1] |= large
     for g in goals:
-        scratch[g >> 9, 0], scratch[g >> 9, 1] = 0, 0
+        scratch[g >> 9, 0] = 0
+        scratch[g >> 9, 1] = 0
     return found
 
 
@@ -59,7 +66,8 @@ def adjacent(blocks, rows, keys, base, shape, top, children):
                 block = children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]
                 if block and rows[block - 1]:
                     other = rows[block - 1] - 1
-                    found[r, 2 * axis + 1], found[other, 2 * axis] = other, r
+                    found[r, 2 * axis + 1] = other
+                    found[other, 2 * axis] = r
     for r in range(n):
         rows[blocks[r]] = 0
     return found
@@ -67,7 +75,9 @@ def adjacent(blocks, rows, keys, base, shape, top, children):
 
 @njit(cache=True, nogil=True, parallel=True)
 def of_two_scans(blocks, bits, before, last):
-    """(B + 1, 8) uint64: hit voxels of the marked blocks, in this scan or the one before; the last row is empty.
+    """(B + 1, 8) uint64: hit voxels of the marked blocks, in this scan or the one before.
+
+    The last row is empty.
 
     Args:
         blocks, bits: the marks of the scan, as from ``raycast.collect``.
@@ -90,19 +100,25 @@ def of_two_scans(blocks, bits, before, last):
 def grown(bits, sides, times):
     """Dilate voxels (B + 1, 8) uint64 by cubes of edge 2 times + 1 voxels, one axis after another.
 
-    ``sides`` (B, 6) are the rows of adjacent blocks, as from ``adjacent``. The last row stands for absent ones.
+    ``sides`` (B, 6) are the rows of adjacent blocks, as from ``adjacent``. The last row stands for
+    absent ones.
     """
-    n, done = len(sides), 0
-    here, there = bits.copy(), bits.copy()
+    n = len(sides)
+    done = 0
+    here = bits.copy()
+    there = bits.copy()
     while done < times:
         step = min(times - done, 2 * done + 1)  # farther steps would leave gaps
-        up, down = np.uint64(step), np.uint64(8 - step)
+        up = np.uint64(step)
+        down = np.uint64(8 - step)
         low = LOW * ((ONE << up) - ONE)  # bits of a byte that come from the adjacent block
         for r in prange(n):
             for w in range(8):  # z: bits of a byte
                 word = here[r, w]
                 below = (word << up) & ~low | (here[sides[r, 4], w] >> down) & low
-                above = (word >> up) & ~(low << down) | (here[sides[r, 5], w] << down) & (low << down)
+                above = (word >> up) & ~(low << down) | (here[sides[r, 5], w] << down) & (
+                    low << down
+                )
                 there[r, w] = word | below | above
         for r in prange(n):
             for w in range(8):  # y: bytes of a word
@@ -115,24 +131,30 @@ def grown(bits, sides, times):
                 below = here[r, w - step] if w >= step else here[sides[r, 0], 8 + w - step]
                 above = here[r, w + step] if w + step < 8 else here[sides[r, 1], w + step - 8]
                 there[r, w] = here[r, w] | below | above
-        here, there, done = there, here, done + step
+        here, there = there, here
+        done += step
     return here
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _add(counts, block, w, word):
-    """Add one to the counts of a word's voxels whose bit is set, up to 65535; without branches, to be vectorised."""
+    """Add one to the counts of a word's voxels whose bit is set, up to 65535.
+
+    Without branches, to be vectorised.
+    """
     for v in range(64):
         n = counts[block, (w << 6) + v]
-        counts[block, (w << 6) + v] = n + np.uint16((word >> np.uint64(v) & ONE) & np.uint64(n != MOST))
+        counts[block, (w << 6) + v] = n + np.uint16(
+            (word >> np.uint64(v) & ONE) & np.uint64(n != MOST)
+        )
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def count(blocks, bits, near, hits, clear, grazed):
     """Add one scan to the counts, up to 65535.
 
-    A voxel that is hit counts as hit. A voxel that is crossed and not hit counts as grazed if a hit is near, else as
-    clear.
+    A voxel that is hit counts as hit. A voxel that is crossed and not hit counts as grazed if a hit
+    is near, else as clear.
 
     Args:
         blocks, bits: the marks of the scan, as from ``raycast.collect``.

@@ -1,7 +1,9 @@
-"""Clusters of points: in adjacent voxels, in adjacent cells of one scan, and nearby clusters merged.
+"""Clusters of points: in adjacent voxels, in adjacent cells of one scan, and nearby clusters
+merged.
 
-A voxel is a number, block * 512 + index in the block; ``neighbours`` (B, 27) are the numbers of the blocks around each
-block. A cluster is identified by the first point that it grew from, so results do not depend on the numbers of voxels.
+A voxel is a number, block * 512 + index in the block; ``neighbours`` (B, 27) are the numbers of the
+blocks around each block. A cluster is identified by the first point that it grew from, so results
+do not depend on the numbers of voxels.
 """
 
 import math
@@ -13,10 +15,20 @@ from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 FIRST = 512  # cells for which their hash table has room, before it grows
 WIDEST = 3  # cells of objects are up to 2^WIDEST voxels wide
-ABOVE = 1 << 14  # layers by which those twice as wide lie above all others: no two widths are adjacent
-# Half of the 26 neighbours of a cell, the others being covered from their side: one above it, and three in each of four
-# columns. Per column, the steps from the cell's key to the lowest and the highest of theirs.
-COLUMNS = np.array([0, 1 << Y_SHIFT, (1 << X_SHIFT) - (1 << Y_SHIFT), 1 << X_SHIFT, (1 << X_SHIFT) + (1 << Y_SHIFT)])
+# layers by which those twice as wide lie above all others: no two widths are adjacent
+ABOVE = 1 << 14
+# Half of the 26 neighbours of a cell, the others being covered from their side: one above it, and
+# three in each of four columns. Per column, the steps from the cell's key to the lowest and the
+# highest of theirs.
+COLUMNS = np.array(
+    [
+        0,
+        1 << Y_SHIFT,
+        (1 << X_SHIFT) - (1 << Y_SHIFT),
+        1 << X_SHIFT,
+        (1 << X_SHIFT) + (1 << Y_SHIFT),
+    ]
+)
 RUNS = np.stack([COLUMNS + np.array([1, -1, -1, -1, -1]), COLUMNS + 1], 1)
 
 
@@ -42,16 +54,19 @@ def _root(parent, i):
 @njit(cache=True, nogil=True)
 def _unite(parent, i, j):
     """Join two sets; the smaller root represents both."""
-    i, j = _root(parent, i), _root(parent, j)
+    i = _root(parent, i)
+    j = _root(parent, j)
     parent[max(i, j)] = min(i, j)
 
 
 @njit(cache=True, nogil=True)
 def _adjacent(voxel, side, neighbours):
     """The adjacent voxel at one of six sides; -1 if it has no block."""
-    axis, ahead = side >> 1, side & 1
+    axis = side >> 1
+    ahead = side & 1
     shift = 6 - 3 * axis
-    block, place = voxel >> 9, voxel & 511
+    block = voxel >> 9
+    place = voxel & 511
     along = place >> shift & 7
     if along == (7 if ahead else 0):
         step = 9 if axis == 0 else (3 if axis == 1 else 1)
@@ -75,7 +90,8 @@ def _larger(slots, values):
     for i in range(len(slots)):
         if slots[i] >= 0:
             s = _slot(more, slots[i])
-            more[s], kept[s] = slots[i], values[i]
+            more[s] = slots[i]
+            kept[s] = values[i]
     return more, kept
 
 
@@ -83,8 +99,9 @@ def _larger(slots, values):
 def grow(voxels, seeds, neighbours):
     """Cluster points by voxels that share a face.
 
-    Voxels with a seed keep growing. Voxels with other points join the earliest cluster at their faces, but do not
-    grow. The number of a cluster is the position of its first seed among the seeds' voxels.
+    Voxels with a seed keep growing. Voxels with other points join the earliest cluster at their
+    faces, but do not grow. The number of a cluster is the position of its first seed among the
+    seeds' voxels.
 
     Args:
         voxels: (N,) int64, voxel of each point, -1 for none.
@@ -96,12 +113,16 @@ def grow(voxels, seeds, neighbours):
     """
     n = seeds.sum()
     slots, ranks = _table(n)
-    own, parent, count = np.empty(n, np.int64), np.arange(n), 0
+    own = np.empty(n, np.int64)
+    parent = np.arange(n)
+    count = 0
     for i in range(len(voxels)):
         if seeds[i]:
             s = _slot(slots, voxels[i])
             if slots[s] < 0:
-                slots[s], ranks[s], own[count] = voxels[i], count, voxels[i]
+                slots[s] = voxels[i]
+                ranks[s] = count
+                own[count] = voxels[i]
                 count += 1
     for k in range(count):
         for side in range(6):
@@ -115,9 +136,11 @@ def grow(voxels, seeds, neighbours):
         for side in range(-1, 6):  # the voxel itself first
             voxel = own[k] if side < 0 else _adjacent(own[k], side, neighbours)
             if voxel >= 0:
-                s, root = _slot(taken, voxel), _root(parent, k)
+                s = _slot(taken, voxel)
+                root = _root(parent, k)
                 if side < 0 or taken[s] < 0:
-                    taken[s], roots[s] = voxel, root
+                    taken[s] = voxel
+                    roots[s] = root
                 elif slots[_slot(slots, voxel)] < 0:
                     roots[s] = min(roots[s], root)
     clusters = np.full(len(voxels), np.int32(-1))
@@ -131,12 +154,18 @@ def grow(voxels, seeds, neighbours):
 
 @njit(cache=True, nogil=True)
 def merge(points, clusters, distance):
-    """Merge clusters (N,) that have points (N, 3) closer than ``distance`` metres; the earliest number remains."""
+    """Merge clusters (N,) that have points (N, 3) closer than ``distance`` metres.
+
+    The earliest number remains.
+    """
     n = len(points)
-    merged, parent = clusters.copy(), np.arange(clusters.max() + 1 if n else 0)
+    merged = clusters.copy()
+    parent = np.arange(clusters.max() + 1 if n else 0)
     per_metre = 1.0 / distance
     slots, heads = _table(n)
-    after, alike = np.empty(n, np.int64), np.ones(len(slots), np.bool_)  # alike: a cell's points are in one cluster
+    # alike: a cell's points are in one cluster
+    after = np.empty(n, np.int64)
+    alike = np.ones(len(slots), np.bool_)
     for i in range(n):
         x = np.int64(math.floor(points[i, 0] * per_metre)) + REACH
         y = np.int64(math.floor(points[i, 1] * per_metre)) + REACH
@@ -151,13 +180,16 @@ def merge(points, clusters, distance):
                 continue
             while k >= 0:
                 if _root(parent, clusters[k]) != _root(parent, clusters[i]):
-                    dx, dy, dz = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
+                    dx = points[k, 0] - points[i, 0]
+                    dy = points[k, 1] - points[i, 1]
+                    dz = points[k, 2] - points[i, 2]
                     if dx * dx + dy * dy + dz * dz < distance * distance:
                         _unite(parent, clusters[k], clusters[i])
                 k = after[k]
         s = _slot(slots, x << X_SHIFT | y << Y_SHIFT | z)
         if slots[s] < 0:
-            slots[s], after[i] = x << X_SHIFT | y << Y_SHIFT | z, -1
+            slots[s] = x << X_SHIFT | y << Y_SHIFT | z
+            after[i] = -1
         else:
             after[i] = heads[s]
             alike[s] &= clusters[heads[s]] == clusters[i]
@@ -169,15 +201,19 @@ def merge(points, clusters, distance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cells_of(points, chosen, sensor, voxel, angle):
-    """The cells that contain chosen points: 8 voxels high, and 1, 2, 4 or 8 voxels wide, as an angle allows.
+    """The cells that contain chosen points.
 
-    The farther points are from the sensor, the farther apart are those of one surface, and the wider are the cells. A
-    point less than a wider cell from where these begin is in one of them, too, so that no object ends there. Cells are
-    numbered in the order of first points. Their hash table grows with their number, far below that of points, so that
-    it stays in the processor's cache.
+    8 voxels high, and 1, 2, 4 or 8 voxels wide, as an angle allows.
+
+    The farther points are from the sensor, the farther apart are those of one surface, and the
+    wider are the cells. A point less than a wider cell from where these begin is in one of them,
+    too, so that no object ends there. Cells are numbered in the order of first points. Their hash
+    table grows with their number, far below that of points, so that it stays in the processor's
+    cache.
 
     Args:
-        points: (N, 3) float32, metres, world frame, within 32768 voxels from its origin; chosen: (N,) bool.
+        points: (N, 3) float32, metres, world frame, within 32768 voxels from its origin; chosen:
+            (N,) bool.
         sensor: (2,) float64, metres, world frame: the sensor's x and y.
         voxel: edge of a voxel, metres.
         angle: of the widest cell, seen from the sensor, radians.
@@ -187,10 +223,15 @@ def cells_of(points, chosen, sensor, voxel, angle):
         keys: (C,) int64, of cells.
         wider: (C,) int32: the wider cell that contains points of a cell, too; -1 for none.
     """
-    (slots, numbers), cells, count = _table(FIRST), np.empty(2 * len(points), np.int64), 0
-    mine, wider = np.full(len(points), np.int32(-1)), np.full(2 * len(points), np.int32(-1))
+    (slots, numbers) = _table(FIRST)
+    cells = np.empty(2 * len(points), np.int64)
+    count = 0
+    mine = np.full(len(points), np.int32(-1))
+    wider = np.full(2 * len(points), np.int32(-1))
     edges = voxel * 2.0 ** np.arange(1, WIDEST + 1)
-    far, soon = (edges / angle) ** 2, np.maximum(edges / angle - edges, 0.0) ** 2  # squared distances of wider cells
+    # squared distances of wider cells
+    far = (edges / angle) ** 2
+    soon = np.maximum(edges / angle - edges, 0.0) ** 2
     for i in range(len(points)):
         if not chosen[i]:
             continue
@@ -212,7 +253,9 @@ def cells_of(points, chosen, sensor, voxel, angle):
                 if 2 * count >= len(slots):
                     slots, numbers = _larger(slots, numbers)
                     s = _slot(slots, key)
-                slots[s], numbers[s], cells[count] = key, count, key
+                slots[s] = key
+                numbers[s] = count
+                cells[count] = key
                 count += 1
             if step:
                 wider[of] = numbers[s]
@@ -223,11 +266,13 @@ def cells_of(points, chosen, sensor, voxel, angle):
 
 @njit(cache=True, nogil=True)
 def connect(mine, order, keys, wider):
-    """Join points to objects: connected components of cells that share a face, an edge, a corner or a point.
+    """Join points to objects.
+
+    Connected components of cells that share a face, an edge, a corner or a point.
 
     Args:
-        mine: (N,) int32: the cell of each point, as from ``cells_of``. Modified: the number of its object, in the order
-            of first points; -1 for points without a cell.
+        mine: (N,) int32: the cell of each point, as from ``cells_of``. Modified: the number of its
+            object, in the order of first points; -1 for points without a cell.
         order: (C,) int64: the cells in the order of their keys.
         keys: (C,) int64, ascending: these keys.
         wider: (C,) int32, as from ``cells_of``.
@@ -235,7 +280,8 @@ def connect(mine, order, keys, wider):
     Returns:
         The number of objects.
     """
-    count, parent = len(keys), np.arange(len(keys))
+    count = len(keys)
+    parent = np.arange(len(keys))
     for c in range(count):
         if wider[c] >= 0:
             _unite(parent, c, wider[c])
@@ -248,7 +294,8 @@ def connect(mine, order, keys, wider):
             while other < count and keys[other] <= keys[c] + RUNS[run, 1]:
                 _unite(parent, order[c], order[other])
                 other += 1
-    names, objects = np.full(count, np.int32(-1)), 0
+    names = np.full(count, np.int32(-1))
+    objects = 0
     for c in range(count):
         root = _root(parent, c)
         if names[root] < 0:

@@ -1,7 +1,7 @@
 """Binary columns of a map: each column has its own base height and one bit per height slice.
 
-Columns are stored in tiles of 64 x 64, which a directory numbers where there are points. Column (i, j), counted from
-the map's corner, has the number tile * 4096 + (i % 64) * 64 + j % 64.
+Columns are stored in tiles of 64 x 64, which a directory numbers where there are points. Column (i,
+j), counted from the map's corner, has the number tile * 4096 + (i % 64) * 64 + j % 64.
 """
 
 import math
@@ -16,8 +16,12 @@ HIGH = 1e6  # metres: points at or beyond this height or depth have no column
 
 @njit(cache=True, nogil=True, inline="always")
 def _place(x, y, z, corner, side, shape):
-    """Column (i, j) of a point, counted from the map's corner; (-1, -1) if it is not finite or outside the tiles."""
-    a, b = (x - corner[0]) / side, (y - corner[1]) / side
+    """Column (i, j) of a point, counted from the map's corner.
+
+    (-1, -1) if it is not finite or outside the tiles.
+    """
+    a = (x - corner[0]) / side
+    b = (y - corner[1]) / side
     if not (0 <= a < shape[0] * 64 and 0 <= b < shape[1] * 64 and abs(z) < HIGH):
         return -1, -1
     return math.floor(a), math.floor(b)
@@ -25,7 +29,9 @@ def _place(x, y, z, corner, side, shape):
 
 @njit(cache=True, nogil=True, inline="always")
 def _slice(z, base, height):
-    """Number of a point's slice, rounded towards 0, so slice 0 extends as far below the base as above; -1 if deeper."""
+    """Number of a point's slice, rounded towards 0, so slice 0 extends as far below the base as
+    above; -1 if deeper.
+    """
     k = (z - base) / height
     return -1 if k <= -1 else int(min(k, TOP))
 
@@ -48,7 +54,10 @@ def _below(bits, k):
 
 @njit(cache=True, nogil=True)
 def _end(bits, gap):
-    """The bit above the lowest group of set bits; a group ends at a gap of at least ``gap`` bits."""
+    """The bit above the lowest group of set bits.
+
+    A group ends at a gap of at least ``gap`` bits.
+    """
     last = -1
     for k in range(FINE):
         if bits >> k & 1:
@@ -60,13 +69,19 @@ def _end(bits, gap):
 
 @njit(cache=True, nogil=True)
 def bounds(points, reach):
-    """(2,) float64, twice: lowest and highest x and y, metres, of the points within ``reach`` of 0 in x and y."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    """(2,) float64, twice: lowest and highest x and y, metres, of the points within ``reach`` of 0
+    in x and y.
+    """
+    low = np.full(2, np.inf)
+    high = np.full(2, -np.inf)
     for p in range(len(points)):
-        x, y = points[p, 0], points[p, 1]
+        x = points[p, 0]
+        y = points[p, 1]
         if abs(x) < reach and abs(y) < reach and abs(points[p, 2]) < HIGH:
-            low[0], low[1] = min(low[0], x), min(low[1], y)
-            high[0], high[1] = max(high[0], x), max(high[1], y)
+            low[0] = min(low[0], x)
+            low[1] = min(low[1], y)
+            high[0] = max(high[0], x)
+            high[1] = max(high[1], y)
     return low, high
 
 
@@ -93,7 +108,10 @@ def number(tiles):
 
 @njit(cache=True, nogil=True)
 def locate(points, corner, side, directory):
-    """(N,) int32: number of the column of each point (N, 3) float32, metres, world frame; -1 if none."""
+    """(N,) int32: number of the column of each point (N, 3) float32, metres, world frame.
+
+    -1 if none.
+    """
     columns = np.empty(len(points), np.int32)
     for p in range(len(points)):
         i, j = _place(points[p, 0], points[p, 1], points[p, 2], corner, side, directory.shape)
@@ -104,7 +122,10 @@ def locate(points, corner, side, directory):
 
 @njit(cache=True, nogil=True)
 def lowest(points, columns, low):
-    """Lower ``low`` (n,) float64, metres, to the lowest points (N, 3) of the columns (N,); NaN without points."""
+    """Lower ``low`` (n,) float64, metres, to the lowest points (N, 3) of the columns (N,).
+
+    NaN without points.
+    """
     for p in range(len(points)):
         c = columns[p]
         if c >= 0 and not low[c] <= points[p, 2]:
@@ -115,9 +136,9 @@ def lowest(points, columns, low):
 def level(low, directory, reach, least, deviations):
     """Base heights: the lowest points, bounded by the bases of the preceding columns.
 
-    Neighbours of (i, j) are the columns (i - reach ... i - 1, j - reach ... j - 1), whose bases are already known. If
-    at least ``least`` of them have points, the base is clipped to their median plus or minus a few median absolute
-    deviations.
+    Neighbours of (i, j) are the columns (i - reach ... i - 1, j - reach ... j - 1), whose bases are
+    already known. If at least ``least`` of them have points, the base is clipped to their median
+    plus or minus a few median absolute deviations.
 
     Args:
         low: (n,) float64, metres, as from ``lowest``.
@@ -129,7 +150,8 @@ def level(low, directory, reach, least, deviations):
         base: (n,) float64, metres; NaN without points.
         raised: (n,) bool: columns whose lowest point is below the base.
     """
-    base, raised = low.copy(), np.zeros(len(low), np.bool_)
+    base = low.copy()
+    raised = np.zeros(len(low), np.bool_)
     near = np.empty(reach * reach)
     for a in range(directory.shape[0]):
         for b in range(directory.shape[1]):
@@ -138,7 +160,8 @@ def level(low, directory, reach, least, deviations):
             for c in range(directory[a, b] * 4096, directory[a, b] * 4096 + 4096):
                 if math.isnan(low[c]):
                     continue
-                i, j = a * 64 + (c >> 6 & 63), b * 64 + (c & 63)
+                i = a * 64 + (c >> 6 & 63)
+                j = b * 64 + (c & 63)
                 n = 0
                 for u in range(max(i - reach, 0), i):
                     for v in range(max(j - reach, 0), j):
@@ -170,7 +193,9 @@ def slices(points, columns, base, height):
 
 @njit(cache=True, nogil=True)
 def fill(columns, slices, bits):
-    """Set the bits (n,) int32 of the slices with points, which are given by column and slice (N,)."""
+    """Set the bits (n,) int32 of the slices with points, which are given by column
+    and slice (N,).
+    """
     for p in range(len(columns)):
         if slices[p] >= 0:
             bits[columns[p]] |= 1 << slices[p]
@@ -196,12 +221,16 @@ def histograms(points, columns, slices, base, height, step, bits, rows, wanted, 
         step: height of a fine bin, metres.
         bits, rows: of the map; row of a slice.
         wanted: (n,) int32: bits of the slices whose points count.
-        fine: (R, FINE + 1) uint32: number of points in the fine bins of each slice; last, those below. Modified.
+        fine: (R, FINE + 1) uint32: number of points in the fine bins of each slice; last, those
+            below. Modified.
     """
     for p in range(len(points)):
-        c, k = columns[p], slices[p]
+        c = columns[p]
+        k = slices[p]
         if k >= 0 and wanted[c] >> k & 1:
-            fine[rows[c] + _below(bits[c], k), _fine(points[p, 2], base[c], height, k, step)] += np.uint32(1)
+            fine[rows[c] + _below(bits[c], k), _fine(points[p, 2], base[c], height, k, step)] += (
+                np.uint32(1)
+            )
 
 
 @njit(cache=True, nogil=True)
@@ -218,14 +247,18 @@ def ground(fine, part, gap):
     """
     cuts = np.zeros((len(fine), 2), np.uint8)
     for r in range(len(fine)):
-        bits, found, f = 0, 0, 0
+        bits = 0
+        found = 0
+        f = 0
         for b in range(FINE):
             bits |= (fine[r, b] > 0) << b
-        end, enough = _end(bits, gap), part * fine[r].sum()
+        end = _end(bits, gap)
+        enough = part * fine[r].sum()
         while f < end and found < enough:
             found += fine[r, f]
             f += 1
-        cuts[r, 0], cuts[r, 1] = f, end
+        cuts[r, 0] = f
+        cuts[r, 1] = end
     return cuts
 
 
@@ -245,10 +278,15 @@ def look(columns, slices, places, seen):
 
 @njit(cache=True, nogil=True)
 def steepest(points, sensor):
-    """The steepest slope from the sensor (3,) to a finite point (N, 3), metres per metre; -inf without points."""
+    """The steepest slope from the sensor (3,) to a finite point (N, 3), metres per metre.
+
+    -inf without points.
+    """
     slope = -np.inf
     for p in range(len(points)):
-        x, y, z = points[p, 0] - sensor[0], points[p, 1] - sensor[1], points[p, 2] - sensor[2]
+        x = points[p, 0] - sensor[0]
+        y = points[p, 1] - sensor[1]
+        z = points[p, 2] - sensor[2]
         flat = x * x + y * y
         if math.isfinite(x + y + z) and flat > 0:
             slope = max(slope, z / math.sqrt(flat))
@@ -257,7 +295,8 @@ def steepest(points, sensor):
 
 @njit(cache=True, nogil=True)
 def _limit(seen, raised, di, dj, view, rise, blind, sight):
-    """The step of the algorithm that limits a column, and the lowest slice that the scan cannot judge in it.
+    """The step of the algorithm that limits a column, and the lowest slice that the scan cannot
+    judge in it.
 
     Args:
         seen: bits of the column's slices that the scan sees.
@@ -281,41 +320,70 @@ def _limit(seen, raised, di, dj, view, rise, blind, sight):
 
 @njit(cache=True, nogil=True)
 def _blocked(left, columns, base, seen, i, j, view, sensor_base, skip):
-    """The slices ``left`` of column (i, j) that are blocked by a slice of the scan on the line from the sensor.
+    """The slices ``left`` of column (i, j) that are blocked by a slice of the scan on the line from
+    the sensor.
 
-    The line advances by one column along its longer axis. At distance t of its length s, its height in slices is
-    view + (k - view) * t / s. Nothing blocks it in the first ``skip`` columns, counted in x and y together. Towards a
-    near target it may end one column behind the target, or continue to the edge of the window.
+    The line advances by one column along its longer axis. At distance t of its length s, its height
+    in slices is view + (k - view) * t / s. Nothing blocks it in the first ``skip`` columns, counted
+    in x and y together. Towards a near target it may end one column behind the target, or continue
+    to the edge of the window.
     """
-    width, a, blocked = len(columns), len(columns) // 2, 0
-    di, dj = i - a, j - a
+    width = len(columns)
+    a = len(columns) // 2
+    blocked = 0
+    di = i - a
+    dj = j - a
     n = max(abs(di), abs(dj))
     if n == 0:
         return 0
-    step_x, step_y, whole = di / n, dj / n, math.sqrt(di * di + dj * dj)
+    step_x = di / n
+    step_y = dj / n
+    whole = math.sqrt(di * di + dj * dj)
     step_t = math.sqrt(step_x * step_x + step_y * step_y)
-    x, y, t = a + step_x, a + step_y, step_t
+    x = a + step_x
+    y = a + step_y
+    t = step_t
     while 0 < x < width and 0 < y < width:
         if int(abs(x - a)) + int(abs(y - a)) > skip:
-            u, v = int(x), int(y)
+            u = int(x)
+            v = int(y)
             if seen[u, v]:
-                rise = base[columns[u, v]] - sensor_base  # metres, added to slices as in the public program
+                # metres, added to slices as in the public program
+                rise = base[columns[u, v]] - sensor_base
                 for k in range(TOP + 1):
                     e = rise + (k - view) * t / whole + view + 0.5
                     if left >> k & 1 and -1 < e < TOP + 1 and seen[u, v] >> int(e) & 1:
                         blocked |= 1 << k
             if abs(x - i) <= 1 and abs(y - j) <= 1:
                 break
-        x, y, t = x + step_x, y + step_y, t + step_t
+        x = x + step_x
+        y = y + step_y
+        t = t + step_t
     return blocked
 
 
 @njit(cache=True, nogil=True)
-def judge(columns, bits, base, raised, seen, view, sensor_base, rise, blind, sight, gap, skip, steps, splits):
+def judge(
+    columns,
+    bits,
+    base,
+    raised,
+    seen,
+    view,
+    sensor_base,
+    rise,
+    blind,
+    sight,
+    gap,
+    skip,
+    steps,
+    splits,
+):
     """Apply the steps of the algorithm to the slices of the map that a scan does not see.
 
     Args:
-        columns: (W, W) int64: numbers of the window's columns, -1 if none; the sensor's column is at W // 2.
+        columns: (W, W) int64: numbers of the window's columns, -1 if none; the sensor's column is
+            at W // 2.
         bits, base, raised: the map's columns.
         seen: (W, W) int32: the scan's slices.
         view: height of the sensor above the base of its column, slices, plus half a slice.
@@ -326,13 +394,16 @@ def judge(columns, bits, base, raised, seen, view, sensor_base, rise, blind, sig
         gap: number of empty slices that ends a column.
         skip: number of columns, in x and y together, in which a line cannot be blocked.
         steps: (n, 9) int32: bits of each step by the scans so far; those of this scan are added.
-        splits: (n,) int32: bits of the slices to split; those below the lowest slice that this scan removes are added.
+        splits: (n,) int32: bits of the slices to split; those below the lowest slice that this scan
+            removes are added.
 
     Returns:
-        (W, W, 9) int32: bits of this scan's slices: in the window; kept near the sensor, beyond sight, above the
-        highest seen slice, above the field of view, as ground, above a gap, behind an occupied slice; removed.
+        (W, W, 9) int32: bits of this scan's slices: in the window; kept near the sensor, beyond
+        sight, above the highest seen slice, above the field of view, as ground, above a gap, behind
+        an occupied slice; removed.
     """
-    width, half = len(columns), len(columns) // 2
+    width = len(columns)
+    half = len(columns) // 2
     outcome = np.zeros((width, width, 9), np.int32)
     for i in range(width):
         for j in range(width):
@@ -341,7 +412,9 @@ def judge(columns, bits, base, raised, seen, view, sensor_base, rise, blind, sig
                 continue
             outcome[i, j, 0] = bits[c]
             left = bits[c] & ~seen[i, j]
-            step, limit = _limit(seen[i, j], raised[c], i - half, j - half, view, rise, blind, sight)
+            step, limit = _limit(
+                seen[i, j], raised[c], i - half, j - half, view, rise, blind, sight
+            )
             outcome[i, j, step] = left & ~((1 << limit) - 1)
             left &= ~outcome[i, j, step]
             outcome[i, j, 5] = left & bits[c] & -bits[c]
@@ -349,7 +422,9 @@ def judge(columns, bits, base, raised, seen, view, sensor_base, rise, blind, sig
             outcome[i, j, 6] = left & ~((1 << _end(bits[c], gap)) - 1)
             left &= ~outcome[i, j, 6]
             if left:
-                outcome[i, j, 7] = _blocked(left, columns, base, seen, i, j, view, sensor_base, skip)
+                outcome[i, j, 7] = _blocked(
+                    left, columns, base, seen, i, j, view, sensor_base, skip
+                )
             left &= ~outcome[i, j, 7]
             outcome[i, j, 8] = left
             splits[c] |= (left & -left) >> 1 & bits[c]
@@ -363,14 +438,13 @@ def bins(points, columns, slices, base, height, step, bits, rows, cuts):
     """Fine bin of each point, and the bins to remove there: (N, 3) int64; -1 without a slice."""
     found = np.full((len(points), 3), np.int64(-1))
     for p in range(len(points)):
-        c, k = columns[p], slices[p]
+        c = columns[p]
+        k = slices[p]
         if k >= 0:
             cut = rows[c] + _below(bits[c], k)
-            found[p, 0], found[p, 1], found[p, 2] = (
-                _fine(points[p, 2], base[c], height, k, step),
-                cuts[cut, 0],
-                cuts[cut, 1],
-            )
+            found[p, 0] = _fine(points[p, 2], base[c], height, k, step)
+            found[p, 1] = cuts[cut, 0]
+            found[p, 2] = cuts[cut, 1]
     return found
 
 
@@ -378,13 +452,14 @@ def bins(points, columns, slices, base, height, step, bits, rows, cuts):
 def reasons(points, columns, slices, base, height, step, bits, rows, steps, splits, cuts):
     """Reason code of each point, (N,) uint8.
 
-    0 without a slice of the map, 1 never in a window, 2 always seen, 3 ... 9 the last of the steps that kept its
-    slice, 10 ground by its fine bin, 11 removed with its slice, 12 removed above fine ground; 8 also above a gap of
-    fine bins.
+    0 without a slice of the map, 1 never in a window, 2 always seen, 3 ... 9 the last of the steps
+    that kept its slice, 10 ground by its fine bin, 11 removed with its slice, 12 removed above fine
+    ground; 8 also above a gap of fine bins.
     """
     codes = np.zeros(len(points), np.uint8)
     for p in range(len(points)):
-        c, k = columns[p], slices[p]
+        c = columns[p]
+        k = slices[p]
         if k < 0:
             continue
         codes[p] = 1
@@ -392,6 +467,7 @@ def reasons(points, columns, slices, base, height, step, bits, rows, steps, spli
             if steps[c, s] >> k & 1:
                 codes[p] = (2, 3, 4, 5, 6, 7, 8, 9, 11)[s]
         if codes[p] != 11 and splits[c] >> k & 1:
-            f, cut = _fine(points[p, 2], base[c], height, k, step), rows[c] + _below(bits[c], k)
+            f = _fine(points[p, 2], base[c], height, k, step)
+            cut = rows[c] + _below(bits[c], k)
             codes[p] = 10 if f < cuts[cut, 0] else 12 if f < cuts[cut, 1] else 8
     return codes

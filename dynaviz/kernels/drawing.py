@@ -1,4 +1,7 @@
-"""The points of a frame by class, and one of them per voxel, for recordings: single passes over the points."""
+"""The points of a frame by class, and one of them per voxel, for recordings.
+
+Single passes over the points.
+"""
 
 import math
 
@@ -36,7 +39,8 @@ def by_class(classes, points, middle, limit, count):
             bounds[classes[i] + 1] += 1
     for c in range(count):
         bounds[c + 1] += bounds[c]
-    rows, ends = np.empty(bounds[count], np.int64), bounds.copy()
+    rows = np.empty(bounds[count], np.int64)
+    ends = bounds.copy()
     for i in range(len(points)):
         c = kinds[i]
         if c < count:
@@ -47,14 +51,17 @@ def by_class(classes, points, middle, limit, count):
 
 @njit(cache=True, nogil=True)
 def range_bands(points, origins, limits):
-    """(N,) uint8: number of limits that the range of each point reaches; all of them if it is not finite.
+    """(N,) uint8: number of limits that the range of each point reaches.
+
+    All of them if it is not finite.
 
     Args:
         points: (N, 3) float32, metres.
         origins: (1, 3) or (N, 3) float32, metres: where the rays start.
         limits: (L,) float32, square metres.
     """
-    bands, step = np.zeros(len(points), np.uint8), np.int64(len(origins) > 1)
+    bands = np.zeros(len(points), np.uint8)
+    step = np.int64(len(origins) > 1)
     for i in range(len(points)):
         x = points[i, 0] - origins[step * i, 0]
         y = points[i, 1] - origins[step * i, 1]
@@ -70,13 +77,18 @@ def _key(points, row, middle, inverse):
     """The packed key of a point's voxel, counted from the middle."""
     key = np.int64(0)
     for axis in range(3):
-        key = key << BITS | np.int64(math.floor((points[row, axis] - middle[axis]) * inverse)) + REACH
+        key = (
+            key << BITS | np.int64(math.floor((points[row, axis] - middle[axis]) * inverse)) + REACH
+        )
     return key
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(key, mask):
-    """First slot of a key, mixed twice: after one product, no bit depends on the axes in higher bits."""
+    """First slot of a key, mixed twice.
+
+    After one product, no bit depends on the axes in higher bits.
+    """
     h = np.uint64(key) * GOLDEN
     h = (h ^ (h >> np.uint64(32))) * GOLDEN
     return np.int64(h >> np.uint64(32)) & mask
@@ -87,7 +99,8 @@ def in_new_voxels(slots, points, rows, middle, size):
     """Insert the voxels of points into a set, and find the first point of each new one.
 
     Args:
-        slots: (2^k,) int64, the set, as in ``voxels.insert``: keys, -1 if free; at least half of it remains free.
+        slots: (2^k,) int64, the set, as in ``voxels.insert``: keys, -1 if free; at least half of it
+            remains free.
         points: (N, 3) float32, metres.
         rows: (K,) int64, the points to insert; finite, and at most 2^20 voxels from the middle.
         middle: (3,) float32, metres: the corner of voxel (0, 0, 0).
@@ -96,8 +109,11 @@ def in_new_voxels(slots, points, rows, middle, size):
     Returns:
         int64, those of the rows that are the first in a new voxel, in their order.
     """
-    kept, count, last = np.empty(len(rows), np.int64), 0, np.int64(-1)
-    mask, inverse = len(slots) - 1, 1.0 / size
+    kept = np.empty(len(rows), np.int64)
+    count = 0
+    last = np.int64(-1)
+    mask = len(slots) - 1
+    inverse = 1.0 / size
     for row in rows:
         key = _key(points, row, middle, inverse)
         if key == last:  # neighbours in a scan mostly share a voxel
@@ -127,10 +143,15 @@ def downsampled(points, rows, middle, size):
     room = 16
     while room < 2 * len(rows):
         room *= 2
-    slots, owners = np.full(room, np.int64(-1)), np.empty(room, np.int32)
-    chosen, counts, count = np.empty(len(rows), np.int64), np.empty(len(rows), np.int64), 0
-    mask, inverse = room - 1, 1.0 / size
-    last, owner = np.int64(-1), 0
+    slots = np.full(room, np.int64(-1))
+    owners = np.empty(room, np.int32)
+    chosen = np.empty(len(rows), np.int64)
+    counts = np.empty(len(rows), np.int64)
+    count = 0
+    mask = room - 1
+    inverse = 1.0 / size
+    last = np.int64(-1)
+    owner = 0
     for row in rows:
         key = _key(points, row, middle, inverse)
         if key != last:
@@ -139,8 +160,10 @@ def downsampled(points, rows, middle, size):
             while slots[s] >= 0 and slots[s] != key:
                 s = (s + 1) & mask
             if slots[s] < 0:
-                slots[s], owners[s] = key, count
-                chosen[count], counts[count] = row, 0
+                slots[s] = key
+                owners[s] = count
+                chosen[count] = row
+                counts[count] = 0
                 count += 1
             owner = owners[s]
         counts[owner] += 1

@@ -1,24 +1,34 @@
 """Ever-free voxels, as words of bits with 64 voxels each.
 
-Bits are (B, 8) uint64: bit v of word w is voxel 64 w + v of a block; a word is a layer in x, and v = 8 y + z.
-``neighbours`` (B, 27) are the numbers of the blocks around each block, itself at 13, x slowest; -1 if absent.
+Bits are (B, 8) uint64: bit v of word w is voxel 64 w + v of a block; a word is a layer in x, and v
+= 8 y + z. ``neighbours`` (B, 27) are the numbers of the blocks around each block, itself at 13, x
+slowest; -1 if absent.
 """
 
 import numpy as np
 from numba import njit, prange
 
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
-_ONE, _SEVEN, _EIGHT, _LAST = np.uint64(1), np.uint64(7), np.uint64(8), np.uint64(56)
-_LOW_Z, _HIGH_Z = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
+_ONE = np.uint64(1)
+_SEVEN = np.uint64(7)
+_EIGHT = np.uint64(8)
+_LAST = np.uint64(56)
+_LOW_Z = np.uint64(0x0101010101010101)
+_HIGH_Z = np.uint64(0x8080808080808080)
 
 
 @njit(cache=True, nogil=True)
 def put(voxels, bits):
-    """Set the bits of voxels (N,), -1 for none; return the blocks (K,) int32 that were empty before."""
-    blocks, n = np.empty(len(voxels), np.int32), 0
+    """Set the bits of voxels (N,), -1 for none.
+
+    Return the blocks (K,) int32 that were empty before.
+    """
+    blocks = np.empty(len(voxels), np.int32)
+    n = 0
     for i in range(len(voxels)):
         if voxels[i] >= 0:
-            b, w = voxels[i] >> 9, voxels[i] >> 6 & 7
+            b = voxels[i] >> 9
+            w = voxels[i] >> 6 & 7
             if not bits[b, w]:  # may be the first in its block
                 empty = True
                 for other in range(8):
@@ -32,8 +42,12 @@ def put(voxels, bits):
 
 @njit(cache=True, nogil=True, inline="always")
 def _count(counts, start, needed, occupied, lately, limit):
-    """Count frames of occupancy for one word; return its number of voxels, and the bits that reach the limit."""
-    reached, n = np.uint64(0), 0
+    """Count frames of occupancy for one word.
+
+    Return its number of voxels, and the bits that reach the limit.
+    """
+    reached = np.uint64(0)
+    n = 0
     for v in range(64):
         bit = _ONE << np.uint64(v)
         if needed & bit:
@@ -57,7 +71,8 @@ def _size(word):
 
 @njit(cache=True, nogil=True, parallel=True)
 def occupy(
-    active, frame, burn_in, gap, limit, hit, updated, observed, near, recent, stamps, needed, first, counts, clear,
+    active, frame, burn_in, gap, limit, hit, updated, observed, near, recent, stamps, needed, first,
+    counts, clear,
     reached,
 ):  # fmt: skip
     """Update occupancy, its counts and the clear voxels of the active blocks (A,) in this frame.
@@ -71,7 +86,8 @@ def occupy(
     Returns:
         (A,) bool: blocks with a voxel that reaches the limit.
     """
-    turn, any_reached = frame % (burn_in + 1), np.zeros(len(active), np.bool_)
+    turn = frame % (burn_in + 1)
+    any_reached = np.zeros(len(active), np.bool_)
     for a in prange(len(active)):
         b = active[a]
         start = first[b]
@@ -79,14 +95,17 @@ def occupy(
         for w in range(8):
             occupied = hit[b, w] | (updated[b, w] & near[b, w])
             recent[b, turn, w] = occupied
-            blocked, lately = occupied, np.uint64(0)
+            blocked = occupied
+            lately = np.uint64(0)
             for k in range(burn_in + 1):
                 age = frame - stamps[b, k]
                 if 0 < age <= burn_in:
                     blocked |= recent[b, k, w]
                 if 0 < age <= gap:
                     lately |= recent[b, k, w]
-            clear[b, w] = observed[b, w] & ~near[b, w] & ~blocked if frame >= burn_in else np.uint64(0)
+            clear[b, w] = (
+                observed[b, w] & ~near[b, w] & ~blocked if frame >= burn_in else np.uint64(0)
+            )
             reached[b, w] = 0
             if occupied:
                 n, reached[b, w] = _count(counts, start, needed[b, w], occupied, lately, limit)
@@ -111,11 +130,15 @@ def _along_z(before, here, after):
 
 @njit(cache=True, nogil=True)
 def _spread(bits, around, missing, out):
-    """Spread the bits of a block and its neighbours to their 26 neighbours; with ``missing`` = ones, spread ~bits."""
+    """Spread the bits of a block and its neighbours to their 26 neighbours.
+
+    With ``missing`` = ones, spread ~bits.
+    """
     for w in range(8):
         out[w] = 0
     for layer in range(-1, 9):
-        x, w = (layer + 8) // 8 * 9, layer & 7
+        x = (layer + 8) // 8 * 9
+        w = layer & 7
         row = np.uint64(0)
         for y in range(3):
             j = x + 3 * y
@@ -145,14 +168,17 @@ def spread(bits, neighbours):
 
 @njit(cache=True, nogil=True, parallel=True)
 def release(active, neighbours, updated, clear, free, revoked, new, lanes):
-    """Set voxels ever-free that are updated and clear, and whose 26 neighbours are clear; ``new`` (A, 8) are these.
+    """Set voxels ever-free that are updated and clear, and whose 26 neighbours are clear.
+
+    ``new`` (A, 8) are these.
 
     They no longer count as ``revoked``.
     """
     for lane in prange(lanes):
         blocked = np.empty(8, np.uint64)
         for a in range(lane, len(active), lanes):
-            b, any_left = active[a], False
+            b = active[a]
+            any_left = False
             for w in range(8):
                 new[a, w] = updated[b, w] & clear[b, w] & ~free[b, w]
                 any_left |= new[a, w] != 0
@@ -166,7 +192,10 @@ def release(active, neighbours, updated, clear, free, revoked, new, lanes):
 
 @njit(cache=True, nogil=True, parallel=True)
 def revoke(blocks, neighbours, reached, free, revoked, lost, lanes):
-    """Revoke ever-free voxels that reach the occupancy limit, and their 26 neighbours; ``lost`` (A, 8) are these."""
+    """Revoke ever-free voxels that reach the occupancy limit, and their 26 neighbours.
+
+    ``lost`` (A, 8) are these.
+    """
     for lane in prange(lanes):
         spread = np.empty(8, np.uint64)
         for a in range(lane, len(blocks), lanes):

@@ -1,7 +1,10 @@
-"""Conservative free space: voxels that rays pass through in enough consecutive scans, and whose neighbours are so too.
+"""Conservative free space.
 
-A voxel is block * 512 + index in the block. Bits are (B, 8) uint64: bit v of word w is voxel 64 w + v of a block.
-``neighbours`` (B, 27) are the numbers of the blocks around each block, itself at 13, x slowest; -1 if absent.
+Voxels that rays pass through in enough consecutive scans, and whose neighbours are so too.
+
+A voxel is block * 512 + index in the block. Bits are (B, 8) uint64: bit v of word w is voxel 64 w +
+v of a block. ``neighbours`` (B, 27) are the numbers of the blocks around each block, itself at 13,
+x slowest; -1 if absent.
 """
 
 import math
@@ -11,7 +14,8 @@ from numba import njit, prange
 
 REACH = 1 << 15  # voxels to each side of the world's origin
 CHUNK = 128  # rays that a lane processes in turn, for load balance
-ONE, FULL = np.uint64(1), np.uint64(0xFFFFFFFFFFFFFFFF)
+ONE = np.uint64(1)
+FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -22,8 +26,11 @@ def _holds(bits, voxel):
 @njit(cache=True, nogil=True, inline="always")
 def _beside(voxel, k, neighbours):
     """The k-th of the 27 voxels around a voxel, itself at 13; -1 if the grid has no block there."""
-    block, place = voxel >> 9, voxel & 511
-    x, y, z = (place >> 6) + k // 9 - 1, (place >> 3 & 7) + k // 3 % 3 - 1, (place & 7) + k % 3 - 1
+    block = voxel >> 9
+    place = voxel & 511
+    x = (place >> 6) + k // 9 - 1
+    y = (place >> 3 & 7) + k // 3 % 3 - 1
+    z = (place & 7) + k % 3 - 1
     side = ((x >> 3) + 1) * 9 + ((y >> 3) + 1) * 3 + (z >> 3) + 1
     if side != 13:
         block = np.int64(neighbours[block, side])
@@ -39,24 +46,34 @@ def place(points, origin, ranges, heights, per_metre, base, shape, top, children
     Args:
         points: (N, 3) float32, metres, world frame.
         origin: (3,) float64, metres.
-        ranges, heights: (2,) float64, metres: limits of the range and of the height above the origin, both included.
+        ranges, heights: (2,) float64, metres: limits of the range and of the height above the
+            origin, both included.
         per_metre: voxels per metre.
         base, shape, top, children: the grid's directory.
     """
     found = np.full(len(points), np.int64(-1))
     for i in range(len(points)):
-        px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        fx, fy, fz = px * per_metre, py * per_metre, pz * per_metre
+        px = np.float64(points[i, 0])
+        py = np.float64(points[i, 1])
+        pz = np.float64(points[i, 2])
+        fx = px * per_metre
+        fy = py * per_metre
+        fz = pz * per_metre
         if not (abs(fx) < REACH and abs(fy) < REACH and abs(fz) < REACH):  # also where not finite
             continue
         squared = (px - origin[0]) ** 2 + (py - origin[1]) ** 2 + (pz - origin[2]) ** 2
-        if not (ranges[0] ** 2 <= squared <= ranges[1] ** 2 and heights[0] <= pz - origin[2] <= heights[1]):
+        if not (
+            ranges[0] ** 2 <= squared <= ranges[1] ** 2
+            and heights[0] <= pz - origin[2] <= heights[1]
+        ):
             found[i] = -2
             continue
         x = np.int64(math.floor(fx)) - (base[0] << 7)
         y = np.int64(math.floor(fy)) - (base[1] << 7)
         z = np.int64(math.floor(fz)) - (base[2] << 7)
-        jx, jy, jz = x >> 7, y >> 7, z >> 7
+        jx = x >> 7
+        jy = y >> 7
+        jz = z >> 7
         if not (0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]):
             continue
         row = top[(jx * shape[1] + jy) * shape[2] + jz]
@@ -68,13 +85,16 @@ def place(points, origin, ranges, heights, per_metre, base, shape, top, children
 
 @njit(cache=True, nogil=True)
 def centres(points, voxels, ranks, count):
-    """(count, 3) float64, metres: mean of the points of each voxel, updated point by point in their order.
+    """(count, 3) float64, metres.
+
+    Mean of the points of each voxel, updated point by point in their order.
 
     Args:
         points: (N, 3) float32, metres; voxels: (N,) int64, negative for none.
         ranks: (B * 512,) int32, number of each voxel.
     """
-    means, n = np.zeros((count, 3)), np.zeros(count, np.int64)
+    means = np.zeros((count, 3))
+    n = np.zeros(count, np.int64)
     for i in range(len(points)):
         if voxels[i] >= 0:
             r = ranks[voxels[i]]
@@ -86,7 +106,8 @@ def centres(points, voxels, ranks, count):
 
 @njit(cache=True, nogil=True)
 def hit(voxels, limit, recorded, free, free_count, hit_count, revoked, neighbours, levels):
-    """Count a hit of each occupied voxel, set level 3 where it was free, and revoke what is hit too often.
+    """Count a hit of each occupied voxel, set level 3 where it was free, and revoke what is hit too
+    often.
 
     Args:
         voxels: (N,) int64, occupied voxels.
@@ -99,7 +120,8 @@ def hit(voxels, limit, recorded, free, free_count, hit_count, revoked, neighbour
     lost = np.empty(len(voxels), np.int64)
     n = 0
     for i in range(len(voxels)):
-        b, v = voxels[i] >> 9, voxels[i] & 511
+        b = voxels[i] >> 9
+        v = voxels[i] & 511
         if not recorded[b]:
             continue
         hit_count[b, v] += 1
@@ -138,7 +160,10 @@ def grow(voxels, ranks, occupied, neighbours, levels):
 
 @njit(cache=True, nogil=True, inline="always")
 def _axis(o, u, size, port):
-    """First voxel, step, parameter of the first border and period along one axis; the ray's parameter ends at 1."""
+    """First voxel, step, parameter of the first border and period along one axis.
+
+    The ray's parameter ends at 1.
+    """
     k = np.int64(math.floor(o * (1.0 / size)))
     if u == 0.0:
         return k, np.int64(0), 1.0, 1.0
@@ -152,17 +177,25 @@ def _axis(o, u, size, port):
 @njit(cache=True, nogil=True)
 def _walk(o, e, size, port, occupied, base, shape, top, children, bits, touched, order):
     """Mark the voxels from o to the last one before e, or before the first occupied one."""
-    ux, uy, uz = e[0] - o[0], e[1] - o[1], e[2] - o[2]
+    ux = e[0] - o[0]
+    uy = e[1] - o[1]
+    uz = e[2] - o[2]
     x, sx, tx, px = _axis(o[0], ux, size, port)
     y, sy, ty, py = _axis(o[1], uy, size, port)
     z, sz, tz, pz = _axis(o[2], uz, size, port)
-    x, y, z = x - (base[0] << 7), y - (base[1] << 7), z - (base[2] << 7)
+    x = x - (base[0] << 7)
+    y = y - (base[1] << 7)
+    z = z - (base[2] << 7)
     bx = by = bz = np.int64(-1 << 40)
     block = np.int32(0)
     while True:
         if bx != x >> 3 or by != y >> 3 or bz != z >> 3:
-            bx, by, bz = x >> 3, y >> 3, z >> 3
-            jx, jy, jz = bx >> 4, by >> 4, bz >> 4
+            bx = x >> 3
+            by = y >> 3
+            bz = z >> 3
+            jx = bx >> 4
+            jy = by >> 4
+            jz = bz >> 4
             block = np.int32(0)
             if 0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]:
                 row = top[(jx * shape[1] + jy) * shape[2] + jz]
@@ -177,22 +210,43 @@ def _walk(o, e, size, port, occupied, base, shape, top, children, bits, touched,
                 order[order[0]] = block - 1
             bits[block - 1, x & 7] |= bit
         if tx < ty and tx < tz:
-            x, tx = x + sx, tx + px
+            x = x + sx
+            tx = tx + px
         elif ty < tz:
-            y, ty = y + sy, ty + py
+            y = y + sy
+            ty = ty + py
         else:
-            z, tz = z + sz, tz + pz
+            z = z + sz
+            tz = tz + pz
         if not (tx < 1.0 or ty < 1.0 or tz < 1.0):
             return
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def cast(targets, origin, reach, heights, size, port, occupied, base, shape, top, children, bits, touched, order):
-    """Mark the voxels of rays, each lane in its own memory; see ``integer_lines.collect`` and ``merge``.
+def cast(
+    targets,
+    origin,
+    reach,
+    heights,
+    size,
+    port,
+    occupied,
+    base,
+    shape,
+    top,
+    children,
+    bits,
+    touched,
+    order,
+):
+    """Mark the voxels of rays, each lane in its own memory.
+
+    See ``integer_lines.collect`` and ``merge``.
 
     Args:
         targets: (N, 3) float64, metres; origin: (3,) float64, metres.
-        reach: longest ray, metres; heights: (2,) float64, lowest and highest end above the origin, metres.
+        reach: longest ray, metres; heights: (2,) float64, lowest and highest end above the origin,
+            metres.
         size: edge of a voxel, metres; port: start as the public program does on a border of voxels.
         occupied: (B, 8) uint64, voxels that stop a ray.
         base, shape, top, children: the grid's directory.
@@ -200,10 +254,14 @@ def cast(targets, origin, reach, heights, size, port, occupied, base, shape, top
     """
     n = len(targets)
     for lane in prange(len(bits)):
-        mine, flags, own = bits[lane], touched[lane], order[lane]
+        mine = bits[lane]
+        flags = touched[lane]
+        own = order[lane]
         for chunk in range(lane * CHUNK, n, len(bits) * CHUNK):
             for i in range(chunk, min(chunk + CHUNK, n)):
-                ux, uy, uz = targets[i, 0] - origin[0], targets[i, 1] - origin[1], targets[i, 2] - origin[2]
+                ux = targets[i, 0] - origin[0]
+                uy = targets[i, 1] - origin[1]
+                uz = targets[i, 2] - origin[2]
                 squared = ux * ux + uy * uy + uz * uz
                 e = (targets[i, 0], targets[i, 1], targets[i, 2])
                 if not (squared <= reach * reach and heights[0] < uz < heights[1]):
@@ -219,7 +277,9 @@ def cast(targets, origin, reach, heights, size, port, occupied, base, shape, top
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def count(blocks, crossed, needed, port, recorded, free, free_count, hit_count, seen, often, candidates):
+def count(
+    blocks, crossed, needed, port, recorded, free, free_count, hit_count, seen, often, candidates
+):
     """Count the voxels that rays crossed in a scan.
 
     Args:
@@ -227,7 +287,8 @@ def count(blocks, crossed, needed, port, recorded, free, free_count, hit_count, 
         needed: scans in a row after which a voxel is a candidate.
         port: skip blocks that are free entirely, as the public program does.
         seen, often: (B, 8) uint64, voxels ever crossed, and ever crossed often enough. Modified.
-        candidates: (K, 8) uint64. Set to the bits of voxels that are not free yet but crossed often enough.
+        candidates: (K, 8) uint64. Set to the bits of voxels that are not free yet but crossed often
+            enough.
     """
     for n in prange(len(blocks)):
         b = blocks[n]
@@ -256,13 +317,21 @@ def count(blocks, crossed, needed, port, recorded, free, free_count, hit_count, 
 
 @njit(cache=True, nogil=True)
 def release(candidates, needed, neighbours, recorded, free, free_count, revoked):
-    """Set candidates (N,) int64 free whose 26 neighbours were crossed often enough; return (M,) int64, those."""
-    found, n = np.empty(len(candidates), np.int64), 0
+    """Set candidates (N,) int64 free whose 26 neighbours were crossed often enough.
+
+    Return (M,) int64, those.
+    """
+    found = np.empty(len(candidates), np.int64)
+    n = 0
     for voxel in candidates:
         clear = True
         for k in range(27):
             other = _beside(voxel, k, neighbours)
-            if other < 0 or not recorded[other >> 9] or free_count[other >> 9, other & 511] < needed:
+            if (
+                other < 0
+                or not recorded[other >> 9]
+                or free_count[other >> 9, other & 511] < needed
+            ):
                 clear = False
                 break
         if clear:

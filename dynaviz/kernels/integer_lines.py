@@ -1,7 +1,7 @@
 """Voxels of points and integer lines through a block grid.
 
-An integer line (Bresenham in three dimensions, driven by the longest axis) joins two voxels by steps to one of 26
-neighbours. Bit v of word w is voxel 64 w + v of a block.
+An integer line (Bresenham in three dimensions, driven by the longest axis) joins two voxels by
+steps to one of 26 neighbours. Bit v of word w is voxel 64 w + v of a block.
 """
 
 import math
@@ -16,7 +16,9 @@ ONE = np.uint64(1)
 
 @njit(cache=True, nogil=True)
 def locate(points, size, truncate, base, shape, top, children):
-    """(N,) int64: voxel of each point, block number * 512 + index in the block; -1 if the grid has no block there.
+    """(N,) int64: voxel of each point, block number * 512 + index in the block.
+
+    -1 if the grid has no block there.
 
     Args:
         points: (N, 3), metres, world frame.
@@ -26,19 +28,26 @@ def locate(points, size, truncate, base, shape, top, children):
     """
     found = np.full(len(points), np.int64(-1))
     for i in range(len(points)):
-        fx, fy, fz = points[i, 0] / size, points[i, 1] / size, points[i, 2] / size
+        fx = points[i, 0] / size
+        fy = points[i, 1] / size
+        fz = points[i, 2] / size
         if not (abs(fx) < REACH and abs(fy) < REACH and abs(fz) < REACH):  # also where not finite
             continue
         if truncate:
-            fx, fy, fz = math.trunc(fx), math.trunc(fy), math.trunc(fz)
+            fx = math.trunc(fx)
+            fy = math.trunc(fy)
+            fz = math.trunc(fz)
         x = np.int64(math.floor(fx)) - (base[0] << 7)
         y = np.int64(math.floor(fy)) - (base[1] << 7)
         z = np.int64(math.floor(fz)) - (base[2] << 7)
-        jx, jy, jz = x >> 7, y >> 7, z >> 7
+        jx = x >> 7
+        jy = y >> 7
+        jz = z >> 7
         if not (0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]):
             continue
         row = top[(jx * shape[1] + jy) * shape[2] + jz]
-        block = children[row, (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15)]  # row 0 is empty
+        # row 0 is empty
+        block = children[row, (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15)]
         if block:
             found[i] = np.int64(block - 1) << 9 | (x & 7) << 6 | (y & 7) << 3 | (z & 7)
     return found
@@ -46,7 +55,10 @@ def locate(points, size, truncate, base, shape, top, children):
 
 @njit(cache=True, nogil=True)
 def squared_ranges(points, origin):
-    """(N,) float64, square metres: squared range of points (N, 3) from an origin (3,), in double precision."""
+    """(N,) float64, square metres.
+
+    Squared range of points (N, 3) from an origin (3,), in double precision.
+    """
     squared = np.zeros(len(points))
     for i in range(len(points)):
         for axis in range(3):
@@ -56,7 +68,10 @@ def squared_ranges(points, origin):
 
 @njit(cache=True, nogil=True, inline="always")
 def _step(k, rest, length, most, direction):
-    """The next index along one axis, and the rest of its error term; without branches, which cannot be predicted."""
+    """The next index along one axis, and the rest of its error term.
+
+    Without branches, which cannot be predicted.
+    """
     rest -= length
     over = rest >> 63  # -1 if the axis takes a step, else 0
     return k + (direction & over), rest + (most & over)
@@ -64,20 +79,31 @@ def _step(k, rest, length, most, direction):
 
 @njit(cache=True, nogil=True)
 def _line(s, e, farthest, shape, top, children, bits, touched, order):
-    """Mark the voxels of the line from s to e, both included, within ``farthest`` voxels of s; relative to the grid."""
-    dx, dy, dz = abs(e[0] - s[0]), abs(e[1] - s[1]), abs(e[2] - s[2])
-    gx, gy, gz = 1 if s[0] < e[0] else -1, 1 if s[1] < e[1] else -1, 1 if s[2] < e[2] else -1
+    """Mark the voxels of the line from s to e, both included, within ``farthest`` voxels of s.
+
+    Relative to the grid.
+    """
+    dx = abs(e[0] - s[0])
+    dy = abs(e[1] - s[1])
+    dz = abs(e[2] - s[2])
+    gx = 1 if s[0] < e[0] else -1
+    gy = 1 if s[1] < e[1] else -1
+    gz = 1 if s[2] < e[2] else -1
     most = max(dx, max(dy, dz))
     rx = ry = rz = most >> 1
     x, y, z = s
     ends_far = dx * dx + dy * dy + dz * dz > farthest
-    bx, by, bz = x >> 3, y >> 3, z >> 3
+    bx = x >> 3
+    by = y >> 3
+    bz = z >> 3
     block = np.int32(-1)  # unknown
     for _ in range(most + 1):
         if ends_far and (x - s[0]) ** 2 + (y - s[1]) ** 2 + (z - s[2]) ** 2 > farthest:
             return
         if block < 0 or bx != x >> 3 or by != y >> 3 or bz != z >> 3:
-            bx, by, bz = x >> 3, y >> 3, z >> 3
+            bx = x >> 3
+            by = y >> 3
+            bz = z >> 3
             row = top[((bx >> 4) * shape[1] + (by >> 4)) * shape[2] + (bz >> 4)]
             block = children[row, (bx & 15) << 8 | (by & 15) << 4 | (bz & 15)]
             if block and not touched[block - 1]:
@@ -93,7 +119,9 @@ def _line(s, e, farthest, shape, top, children, bits, touched, order):
 
 @njit(cache=True, nogil=True, parallel=True)
 def cast(goals, blocks, start, farthest, base, shape, top, children, bits, touched, order):
-    """Mark the voxels of lines from one voxel to others, where the grid has blocks; each lane in its own memory.
+    """Mark the voxels of lines from one voxel to others, where the grid has blocks.
+
+    Each lane in its own memory.
 
     Args:
         goals: (N,) int64, voxels in which lines end.
@@ -103,16 +131,20 @@ def cast(goals, blocks, start, farthest, base, shape, top, children, bits, touch
         base, shape, top, children: the grid's directory.
         bits: (lanes, B, 8) uint64. Modified.
         touched: (lanes, B) bool, blocks in which a lane marked a voxel. Modified.
-        order: (lanes, 1 + B) int32, the number of these blocks, and the blocks, in any order. Modified.
+        order: (lanes, 1 + B) int32, the number of these blocks, and the blocks, in any order.
+            Modified.
     """
     n = len(goals)
     s = (start[0] - (base[0] << 7), start[1] - (base[1] << 7), start[2] - (base[2] << 7))
     inside = 0 <= s[0] < shape[0] << 7 and 0 <= s[1] < shape[1] << 7 and 0 <= s[2] < shape[2] << 7
     for lane in prange(len(bits)):
-        mine, flags, own = bits[lane], touched[lane], order[lane]
+        mine = bits[lane]
+        flags = touched[lane]
+        own = order[lane]
         for chunk in range(lane * CHUNK, n if inside else 0, len(bits) * CHUNK):
             for i in range(chunk, min(chunk + CHUNK, n)):
-                block, place = goals[i] >> 9, goals[i] & 511
+                block = goals[i] >> 9
+                place = goals[i] & 511
                 x = (np.int64(blocks[block, 0]) << 3 | place >> 6) - (base[0] << 7)
                 y = (np.int64(blocks[block, 1]) << 3 | (place >> 3 & 7)) - (base[1] << 7)
                 z = (np.int64(blocks[block, 2]) << 3 | (place & 7)) - (base[2] << 7)
@@ -121,11 +153,14 @@ def cast(goals, blocks, start, farthest, base, shape, top, children, bits, touch
 
 @njit(cache=True, nogil=True)
 def collect(touched, order):
-    """(K,) int32: the blocks that any lane touched, each once, in any order; clears ``touched`` and ``order``.
+    """(K,) int32: the blocks that any lane touched, each once, in any order.
+
+    Clears ``touched`` and ``order``.
 
     The work is that of the touched blocks, however large the grid is.
     """
-    blocks, n = np.empty(order[:, 0].sum(), np.int32), 0
+    blocks = np.empty(order[:, 0].sum(), np.int32)
+    n = 0
     for lane in range(len(order)):
         for k in range(1, order[lane, 0] + 1):
             b = order[lane, k]

@@ -5,7 +5,9 @@ from numba import njit, prange
 
 @njit(cache=True, nogil=True, parallel=True)
 def update(log_odds, ever, blocks, bits, miss, hit, low, high):
-    """Update each marked voxel once: add a miss and clamp, then a hit and clamp; record voxels ever crossed or hit.
+    """Update each marked voxel once: add a miss and clamp, then a hit and clamp.
+
+    Record voxels ever crossed or hit.
 
     Args:
         log_odds: (all blocks + 1, 512) float32. Modified.
@@ -17,7 +19,8 @@ def update(log_odds, ever, blocks, bits, miss, hit, low, high):
     for n in prange(len(blocks)):
         block = blocks[n]
         for w in range(8):
-            crossed, struck = bits[n, w], bits[n, 8 + w]
+            crossed = bits[n, w]
+            struck = bits[n, 8 + w]
             ever[block, w] |= crossed
             ever[block, 8 + w] |= struck
             if crossed | struck:

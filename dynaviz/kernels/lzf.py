@@ -1,4 +1,7 @@
-"""LZF, the compression of PCD's ``binary_compressed``: runs of literals, and copies from up to 8 KiB back."""
+"""LZF, the compression of PCD's ``binary_compressed``.
+
+Runs of literals, and copies from up to 8 KiB back.
+"""
 
 from numba import njit
 
@@ -7,7 +10,10 @@ _RUN = 32  # maximum length of a run of literals, bytes
 
 @njit(cache=True, nogil=True)
 def decompress(source, out):
-    """Decompress ``source`` into ``out``, both uint8; return -1, or the position in ``source`` of the first error."""
+    """Decompress ``source`` into ``out``, both uint8.
+
+    Return -1, or the position in ``source`` of the first error.
+    """
     i = 0
     o = 0
     n = len(source)

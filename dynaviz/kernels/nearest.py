@@ -1,7 +1,8 @@
-"""Nearest neighbours: points in Morton order, a binary tree of bounding boxes over them, and a search in it.
+"""Nearest neighbours: points in Morton order, a binary tree of bounding boxes over them, and a
+search in it.
 
-All arithmetic is float32 in one fixed order. Rounding is monotone, so the distance to a box never exceeds that to a
-point inside it, and the result equals the minimum over all pairs, bit by bit.
+All arithmetic is float32 in one fixed order. Rounding is monotone, so the distance to a box never
+exceeds that to a point inside it, and the result equals the minimum over all pairs, bit by bit.
 """
 
 import numpy as np
@@ -22,9 +23,11 @@ def morton_order(points, low, inverse, axis_bits, index_bits):
         inverse: cells per metre.
         axis_bits, index_bits: bits per axis, and bits of a row; at most 64 in all.
     """
-    keys, other = np.empty(len(points), np.uint64), np.empty(len(points), np.uint64)
+    keys = np.empty(len(points), np.uint64)
+    other = np.empty(len(points), np.uint64)
     counts = np.zeros(((3 * axis_bits + _DIGIT - 1) // _DIGIT, 1 << _DIGIT), np.int64)
-    top, last = np.float64((1 << axis_bits) - 1), np.uint64((1 << _DIGIT) - 1)
+    top = np.float64((1 << axis_bits) - 1)
+    last = np.uint64((1 << _DIGIT) - 1)
     for i in range(len(points)):
         code = np.uint64(0)
         for axis in range(3):
@@ -42,7 +45,9 @@ def morton_order(points, low, inverse, axis_bits, index_bits):
     for digit in range(len(counts)):  # sort by the lowest digit of the codes first
         end = 0
         for value in range(1 << _DIGIT):
-            counts[digit, value], end = end, end + counts[digit, value]
+            count = counts[digit, value]
+            counts[digit, value] = end
+            end += count
         shift = np.uint64(index_bits + _DIGIT * digit)
         for i in range(len(keys)):
             value = keys[i] >> shift & last
@@ -56,7 +61,10 @@ def morton_order(points, low, inverse, axis_bits, index_bits):
 
 @njit(cache=True, nogil=True)
 def boxes(points):
-    """(2 L, 6) float32: lower and upper corner of each node; node k has the children 2 k and 2 k + 1."""
+    """(2 L, 6) float32: lower and upper corner of each node.
+
+    Node k has the children 2 k and 2 k + 1.
+    """
     leaves = 1
     while leaves * LEAF < len(points):
         leaves *= 2
@@ -77,7 +85,10 @@ def boxes(points):
 
 @njit(cache=True, nogil=True, inline="always")
 def _to_box(tree, node, box):
-    """Squared distance between a node of the tree and a box, (6,) lower and upper corner; 0 if they overlap."""
+    """Squared distance between a node of the tree and a box, (6,) lower and upper corner.
+
+    0 if they overlap.
+    """
     zero = np.float32(0)
     dx = max(max(tree[node, 0] - box[3], box[0] - tree[node, 3]), zero)
     dy = max(max(tree[node, 1] - box[4], box[1] - tree[node, 4]), zero)
@@ -87,11 +98,18 @@ def _to_box(tree, node, box):
 
 @njit(cache=True, nogil=True)
 def _to_points(points, leaf, x, y, z, best):
-    """Lower the squared distances of a packet to those to the points of a leaf; return the largest."""
+    """Lower the squared distances of a packet to those to the points of a leaf.
+
+    Return the largest.
+    """
     for i in range(leaf * LEAF, min(leaf * LEAF + LEAF, len(points))):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        px = points[i, 0]
+        py = points[i, 1]
+        pz = points[i, 2]
         for k in range(PACKET):  # without branches: eight at a time
-            dx, dy, dz = px - x[k], py - y[k], pz - z[k]
+            dx = px - x[k]
+            dy = py - y[k]
+            dz = pz - z[k]
             d = dx * dx + dy * dy + dz * dz
             best[k] = d if d < best[k] else best[k]
     worst = best[0]
@@ -102,20 +120,30 @@ def _to_points(points, leaf, x, y, z, best):
 
 @njit(cache=True, nogil=True)
 def search(points, tree, reach, enough, queries):
-    """(N,) float32: squared distance of each query to the nearest point, square metres; at most ``reach`` (squared).
+    """(N,) float32: squared distance of each query to the nearest point, square metres.
 
-    Consecutive queries that are close to each other descend the tree as one packet, which begins at the leaf where the
-    previous one ended: sort them. A packet stops when all are within a squared distance of ``enough`` of a point; 0
-    searches the nearest.
+    At most ``reach`` (squared).
+
+    Consecutive queries that are close to each other descend the tree as one packet, which begins at
+    the leaf where the previous one ended: sort them. A packet stops when all are within a squared
+    distance of ``enough`` of a point; 0 searches the nearest.
     """
-    out, leaves, near, begin = np.empty(len(queries), np.float32), len(tree) // 2, -1, 0
-    nodes, bounds, box = np.empty(64, np.int64), np.empty(64, np.float32), np.empty(6, np.float32)
-    x, y, z = np.empty(PACKET, np.float32), np.empty(PACKET, np.float32), np.empty(PACKET, np.float32)
+    out = np.empty(len(queries), np.float32)
+    leaves = len(tree) // 2
+    near = -1
+    begin = 0
+    nodes = np.empty(64, np.int64)
+    bounds = np.empty(64, np.float32)
+    box = np.empty(6, np.float32)
+    x = np.empty(PACKET, np.float32)
+    y = np.empty(PACKET, np.float32)
+    z = np.empty(PACKET, np.float32)
     best = np.empty(PACKET, np.float32)
     while begin < len(queries):
         for axis in range(6):
             box[axis] = queries[begin, axis % 3]
-        end, wide = begin, False
+        end = begin
+        wide = False
         while end < min(begin + PACKET, len(queries)) and not wide:
             for axis in range(3):
                 at = queries[end, axis]
@@ -123,27 +151,35 @@ def search(points, tree, reach, enough, queries):
             if not wide:
                 for axis in range(3):
                     at = queries[end, axis]
-                    box[axis], box[3 + axis] = min(box[axis], at), max(box[3 + axis], at)
+                    box[axis] = min(box[axis], at)
+                    box[3 + axis] = max(box[3 + axis], at)
                 end += 1
         for k in range(PACKET):  # the last query fills up the packet
             q = min(begin + k, end - 1)
-            x[k], y[k], z[k], best[k] = queries[q, 0], queries[q, 1], queries[q, 2], reach
+            x[k] = queries[q, 0]
+            y[k] = queries[q, 1]
+            z[k] = queries[q, 2]
+            best[k] = reach
         first = near
         worst = _to_points(points, first, x, y, z, best) if first >= 0 else reach
-        nodes[0], bounds[0], depth = 1, np.float32(0), 1
+        nodes[0] = 1
+        bounds[0] = np.float32(0)
+        depth = 1
         while depth > 0 and worst > enough:
             depth -= 1
             node = nodes[depth]
             if bounds[depth] >= worst:
                 continue
             while node < leaves:  # descend into the closer child; push the other if it may matter
-                left, right = _to_box(tree, 2 * node, box), _to_box(tree, 2 * node + 1, box)
+                left = _to_box(tree, 2 * node, box)
+                right = _to_box(tree, 2 * node + 1, box)
                 node = 2 * node
                 if right < left:
                     node += 1
                     left, right = right, left
                 if right < worst:
-                    nodes[depth], bounds[depth] = node ^ 1, right
+                    nodes[depth] = node ^ 1
+                    bounds[depth] = right
                     depth += 1
                 if left >= worst:
                     break
@@ -151,7 +187,8 @@ def search(points, tree, reach, enough, queries):
                 if node - leaves != first:
                     closer = _to_points(points, node - leaves, x, y, z, best)
                     if closer < worst:
-                        worst, near = closer, node - leaves
+                        worst = closer
+                        near = node - leaves
         for k in range(end - begin):
             out[begin + k] = best[k]
         begin = end

@@ -20,28 +20,48 @@ def from_samples(points, samples, distance, least_up, confidence):
         confidence: probability of having found the best plane.
 
     Returns:
-        (4,) float64: normal and offset, metres; and the number of inliers, 0 if no sample gives a plane.
+        (4,) float64: normal and offset, metres; and the number of inliers, 0 if no sample gives a
+        plane.
     """
-    best, most, needed = np.zeros(4), 0, float(len(samples))
+    best = np.zeros(4)
+    most = 0
+    needed = float(len(samples))
     for k in range(len(samples)):
         if k >= needed:
             break
-        a, b, c = samples[k, 0], samples[k, 1], samples[k, 2]
-        ax, ay, az = float(points[a, 0]), float(points[a, 1]), float(points[a, 2])
-        ux, uy, uz = points[b, 0] - ax, points[b, 1] - ay, points[b, 2] - az
-        vx, vy, vz = points[c, 0] - ax, points[c, 1] - ay, points[c, 2] - az
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        a = samples[k, 0]
+        b = samples[k, 1]
+        c = samples[k, 2]
+        ax = float(points[a, 0])
+        ay = float(points[a, 1])
+        az = float(points[a, 2])
+        ux = points[b, 0] - ax
+        uy = points[b, 1] - ay
+        uz = points[b, 2] - az
+        vx = points[c, 0] - ax
+        vy = points[c, 1] - ay
+        vz = points[c, 2] - az
+        nx = uy * vz - uz * vy
+        ny = uz * vx - ux * vz
+        nz = ux * vy - uy * vx
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
         if not abs(nz) >= least_up * length or length == 0.0:
             continue
-        nx, ny, nz = nx / length, ny / length, nz / length
+        nx = nx / length
+        ny = ny / length
+        nz = nz / length
         offset = nx * ax + ny * ay + nz * az
         near = 0
         for i in range(len(points)):
-            near += abs(nx * points[i, 0] + ny * points[i, 1] + nz * points[i, 2] - offset) < distance
+            near += (
+                abs(nx * points[i, 0] + ny * points[i, 1] + nz * points[i, 2] - offset) < distance
+            )
         if near > most:
             most = near
-            best[0], best[1], best[2], best[3] = nx, ny, nz, offset
+            best[0] = nx
+            best[1] = ny
+            best[2] = nz
+            best[3] = offset
             share = near / len(points)
             needed = math.log(1.0 - confidence) / math.log1p(-min(share**3, 1.0 - 1e-15))
     return best, most

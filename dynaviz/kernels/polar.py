@@ -33,7 +33,9 @@ def locate(points, spans, gone, centre, max_range, rings, sectors, low, high):
     found = 0
     for s in range(len(spans)):
         for i in range(spans[s, 0], spans[s, 1]):
-            x, y, z = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+            x = points[i, 0] - centre[0]
+            y = points[i, 1] - centre[1]
+            z = points[i, 2] - centre[2]
             squared = x * x + y * y
             if gone[i] or not squared < max_range * max_range:
                 continue
@@ -52,7 +54,9 @@ def locate(points, spans, gone, centre, max_range, rings, sectors, low, high):
 
 @njit(cache=True, nogil=True)
 def heights(points, rows, bins, n):
-    """(n,) float64, metres: highest minus lowest point of each bin, NaN if empty; and (n,) int64: number of points.
+    """(n,) float64, metres: highest minus lowest point of each bin, NaN if empty; and (n,) int64.
+
+    Number of points.
 
     Points (N, 3) float32, metres; rows and bins (K,) as from ``locate``.
     """

@@ -14,11 +14,13 @@ def fit(points, starts, skip, lowest, seed_height, distance, iterations, upward)
         points: (K, 3) float64, metres, relative to the ground below the sensor; sorted by bin.
         starts: (B + 1,) int64: first point of each bin, and the end.
         skip: number of lowest points of a bin to skip.
-        lowest: number of points after them whose mean height is the lowest ground; it is 0 if no points are left.
+        lowest: number of points after them whose mean height is the lowest ground; it is 0 if no
+            points are left.
         seed_height: points less than this above the lowest ground seed the fit, metres.
         distance: points below the plane, or less than this above it, are ground, metres.
         iterations: number of plane fits, each to the ground points of the previous one.
-        upward: orient the normals upwards; otherwise they keep the side that the Jacobi rotations give.
+        upward: orient the normals upwards; otherwise they keep the side that the Jacobi rotations
+            give.
 
     Returns:
         (K,) bool: ground points.
@@ -28,7 +30,8 @@ def fit(points, starts, skip, lowest, seed_height, distance, iterations, upward)
     A = np.empty((3, 3))
     V = np.empty((3, 3))
     for b in range(len(starts) - 1):
-        first, last = starts[b], starts[b + 1]
+        first = starts[b]
+        last = starts[b + 1]
         n = 0  # the lowest heights, sorted
         for i in range(first, last):
             z = points[i, 2]
@@ -44,17 +47,27 @@ def fit(points, starts, skip, lowest, seed_height, distance, iterations, upward)
         for i in range(first, last):
             ground[i] = points[i, 2] < seeds
         for _ in range(iterations):
-            cx, cy, cz, m = 0.0, 0.0, 0.0, 0
+            cx = 0.0
+            cy = 0.0
+            cz = 0.0
+            m = 0
             for i in range(first, last):
                 if ground[i]:
-                    cx, cy, cz, m = cx + points[i, 0], cy + points[i, 1], cz + points[i, 2], m + 1
+                    cx = cx + points[i, 0]
+                    cy = cy + points[i, 1]
+                    cz = cz + points[i, 2]
+                    m = m + 1
             if m == 0:
                 break
-            cx, cy, cz = cx / m, cy / m, cz / m
+            cx = cx / m
+            cy = cy / m
+            cz = cz / m
             A[:] = 0
             for i in range(first, last):
                 if ground[i]:
-                    x, y, z = points[i, 0] - cx, points[i, 1] - cy, points[i, 2] - cz
+                    x = points[i, 0] - cx
+                    y = points[i, 1] - cy
+                    z = points[i, 2] - cz
                     A[0, 0] += x * x
                     A[1, 1] += y * y
                     A[2, 2] += z * z
@@ -67,9 +80,13 @@ def fit(points, starts, skip, lowest, seed_height, distance, iterations, upward)
                 if A[axis, axis] < A[k, k]:
                     k = axis
             turn = -1.0 if upward and V[2, k] < 0 else 1.0
-            nx, ny, nz = turn * V[0, k], turn * V[1, k], turn * V[2, k]
+            nx = turn * V[0, k]
+            ny = turn * V[1, k]
+            nz = turn * V[2, k]
             for i in range(first, last):
-                x, y, z = points[i, 0] - cx, points[i, 1] - cy, points[i, 2] - cz
+                x = points[i, 0] - cx
+                y = points[i, 1] - cy
+                z = points[i, 2] - cz
                 ground[i] = nx * x + ny * y + nz * z < distance
     return ground
 
@@ -78,13 +95,15 @@ def fit(points, starts, skip, lowest, seed_height, distance, iterations, upward)
 def _diagonalise(A, V):
     """Jacobi eigenvalue algorithm for a symmetric (3, 3) matrix A, of which the lower half is read.
 
-    Afterwards A's diagonal contains the eigenvalues, and V's columns the eigenvectors. No rotation exceeds 45 degrees,
-    so an eigenvector stays on the side of the axis that it started from.
+    Afterwards A's diagonal contains the eigenvalues, and V's columns the eigenvectors. No rotation
+    exceeds 45 degrees, so an eigenvector stays on the side of the axis that it started from.
     """
     V[:] = 0
     for axis in range(3):
         V[axis, axis] = 1
-    A[0, 1], A[0, 2], A[1, 2] = A[1, 0], A[2, 0], A[2, 1]
+    A[0, 1] = A[1, 0]
+    A[0, 2] = A[2, 0]
+    A[1, 2] = A[2, 1]
     for _ in range(10):  # converges quadratically; 4 or 5 sweeps are enough
         for p in range(1, 3):
             for q in range(p):

@@ -5,26 +5,33 @@ import math
 import numpy as np
 from numba import njit, prange
 
-FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
+FELLOWS = (
+    3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
+)
 UNKNOWN = np.int16(32767)  # millimetres: height of a surface without ground around
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def cells_of(points, position, most, edge):
-    """The cells of points (N, 3) in a square raster around the sensor that contains them all, or is as wide as allowed.
+    """The cells of points (N, 3) in a square raster around the sensor that contains them all, or is
+    as wide as allowed.
 
-    Its number of cells along each axis is a power of two; the sensor is in the first cell beyond the middle. Cell
-    (i, j) of the raster is number i wide + j; keys (i, j) span [i, i + 1) * edge in the world.
+    Its number of cells along each axis is a power of two; the sensor is in the first cell beyond
+    the middle. Cell (i, j) of the raster is number i wide + j; keys (i, j) span [i, i + 1) * edge
+    in the world.
 
     Args:
         points: (N, 3) float32, position: (3,) float64, metres, world frame.
-        most: maximum number of cells to each side of the sensor, a power of two; edge: of a cell, metres.
+        most: maximum number of cells to each side of the sensor, a power of two; edge: of a cell,
+            metres.
 
     Returns:
-        (N,) int32: the cell of each point, -1 outside; wide: cells along each axis; (2,) int64: key of the first cell.
+        (N,) int32: the cell of each point, -1 outside; wide: cells along each axis; (2,) int64: key
+        of the first cell.
     """
     farthest = np.float32(edge)
-    x, y = np.float32(position[0]), np.float32(position[1])
+    x = np.float32(position[0])
+    y = np.float32(position[1])
     for i in prange(len(points)):
         away = max(abs(points[i, 0] - x), abs(points[i, 1] - y))
         farthest = max(farthest, away if away < most * edge else np.float32(0))
@@ -32,12 +39,17 @@ def cells_of(points, position, most, edge):
     while reach > 2 and reach // 2 > math.ceil(farthest / edge):
         reach //= 2
     first = np.array(
-        [np.int64(math.floor(position[0] / edge)) - reach, np.int64(math.floor(position[1] / edge)) - reach]
+        [
+            np.int64(math.floor(position[0] / edge)) - reach,
+            np.int64(math.floor(position[1] / edge)) - reach,
+        ]
     )
-    wide, cells = 2 * reach, np.full(len(points), np.int32(-1))
+    wide = 2 * reach
+    cells = np.full(len(points), np.int32(-1))
     for p in prange(len(points)):
         if math.isfinite(points[p, 0] + points[p, 1] + points[p, 2]):
-            i, j = math.floor(points[p, 0] / edge) - first[0], math.floor(points[p, 1] / edge) - first[1]
+            i = math.floor(points[p, 0] / edge) - first[0]
+            j = math.floor(points[p, 1] / edge) - first[1]
             if 0 <= i < wide and 0 <= j < wide:
                 cells[p] = np.int32(i) * wide + np.int32(j)
     return cells, wide, first
@@ -45,12 +57,19 @@ def cells_of(points, position, most, edge):
 
 @njit(cache=True, nogil=True)
 def _beneath(lowest, near, layer):
-    """Height of the ground under the sensor, metres from it: the layer with the lowest points of most near cells.
+    """Height of the ground under the sensor, metres from it.
 
-    The sensor may be on the ground itself, as far as poses know: what is less than a layer above it can be ground.
+    The layer with the lowest points of most near cells.
+
+    The sensor may be on the ground itself, as far as poses know: what is less than a layer above it
+    can be ground.
     """
     middle = len(lowest) // 2
-    part = lowest[max(middle - near, 0) : middle + near + 1, max(middle - near, 0) : middle + near + 1].copy().ravel()
+    part = (
+        lowest[max(middle - near, 0) : middle + near + 1, max(middle - near, 0) : middle + near + 1]
+        .copy()
+        .ravel()
+    )
     z = np.sort(part[part < layer])
     number = np.searchsorted(z, z + layer) - np.arange(len(z))
     return z[np.argmax(number)] + layer / 2 if len(z) else np.inf
@@ -60,12 +79,13 @@ def _beneath(lowest, near, layer):
 def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     """The mean height of the lowest layer of points in each cell, and the number of its points.
 
-    One with less than a tenth of its cell's points is not ground: a few returns below it. Nor is what a slope from the
-    ground under the sensor cannot reach: a reflection.
+    One with less than a tenth of its cell's points is not ground: a few returns below it. Nor is
+    what a slope from the ground under the sensor cannot reach: a reflection.
 
     Args:
         heights: (N,) float32, metres above the sensor.
-        cells: (N,) int32, as from ``cells_of``; wide: cells along each axis; edge: of a cell, metres.
+        cells: (N,) int32, as from ``cells_of``; wide: cells along each axis; edge: of a cell,
+            metres.
         layer: height of a layer, metres.
         steep: slope of the steepest ground, as seen from the sensor, metres per metre.
         margin: metres that ground may be lower than that.
@@ -74,23 +94,32 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     Returns:
         (wide, wide) float64, metres above the sensor, infinite without; and (wide, wide) int32.
     """
-    n, middle = wide * wide, wide // 2
-    low, summed = np.full(n, np.float32(np.inf)), np.zeros(n, np.int64)
-    total, number = np.zeros(n, np.int32), np.zeros(n, np.int32)
+    n = wide * wide
+    middle = wide // 2
+    low = np.full(n, np.float32(np.inf))
+    summed = np.zeros(n, np.int64)
+    total = np.zeros(n, np.int32)
+    number = np.zeros(n, np.int32)
     for i in range(len(cells)):
         if cells[i] >= 0:
             low[cells[i]] = min(low[cells[i]], heights[i])
             total[cells[i]] += 1
-    level, found = _beneath(low.reshape(wide, wide), near, layer), np.full(n, np.inf)
+    level = _beneath(low.reshape(wide, wide), near, layer)
+    found = np.full(n, np.inf)
     if level == np.inf:
         return found.reshape(wide, wide), number.reshape(wide, wide)
-    least, below = np.full(n, -np.inf), False  # the lowest ground of cells with points below it
+    # the lowest ground of cells with points below it
+    least = np.full(n, -np.inf)
+    below = False
     for c in range(n):
         if low[c] < level - margin:
             far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
             possible = level - margin - steep * edge * far
             if low[c] < possible:
-                least[c], low[c], total[c], below = possible, np.inf, 0, True
+                least[c] = possible
+                low[c] = np.inf
+                total[c] = 0
+                below = True
     if below:
         for i in range(len(cells)):
             c = cells[i]
@@ -112,9 +141,9 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
 def pits(surface, deep):
     """(X, Y) bool: cells that are reflections, not ground.
 
-    They are more than ``deep`` below over three quarters of the known cells among the 5 x 5 cells around them, or below
-    all but one of them: stray returns far below the ground have few known cells around. Unknown cells are infinite, and
-    not reflections.
+    They are more than ``deep`` below over three quarters of the known cells among the 5 x 5 cells
+    around them, or below all but one of them: stray returns far below the ground have few known
+    cells around. Unknown cells are infinite, and not reflections.
     """
     rows, columns = surface.shape
     found = np.zeros(surface.shape, np.bool_)
@@ -122,7 +151,8 @@ def pits(surface, deep):
         for y in range(columns):
             if surface[x, y] == np.inf:
                 continue
-            around, level = 0, 0
+            around = 0
+            level = 0
             for i in range(max(x - 2, 0), min(x + 3, rows)):
                 for j in range(max(y - 2, 0), min(y + 3, columns)):
                     if surface[i, j] < np.inf:
@@ -134,9 +164,11 @@ def pits(surface, deep):
 
 @njit(cache=True, nogil=True)
 def _lower(surface, step):
-    """Lower a surface (X, Y), in place, until no cell is more than ``step`` above a neighbour, √2 as much diagonally.
+    """Lower a surface (X, Y), in place, until no cell is more than ``step`` above a neighbour, √2
+    as much diagonally.
 
-    The shortest way between two cells has steps of two adjacent directions at most: a sweep from either end is enough.
+    The shortest way between two cells has steps of two adjacent directions at most: a sweep from
+    either end is enough.
     """
     rows, columns = surface.shape
     slant = step * np.sqrt(2.0)
@@ -159,25 +191,32 @@ def _lower(surface, step):
 
 @njit(cache=True, nogil=True)
 def _rise(z, axis, steep, most):
-    """Mean rise from cell to cell along an axis, where it is at most ``steep``; limited to ``most``, up and down."""
+    """Mean rise from cell to cell along an axis, where it is at most ``steep``.
+
+    Limited to ``most``, up and down.
+    """
     a, b = (z[:-1], z[1:]) if axis == 0 else (z[:, :-1], z[:, 1:])
-    total, number = 0.0, 0
+    total = 0.0
+    number = 0
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
             rise = b[i, j] - a[i, j]
             if abs(rise) <= steep:  # not if both are infinite
-                total, number = total + rise, number + 1
+                total = total + rise
+                number = number + 1
     return min(max(total / max(number, 1), -most), most)
 
 
 @njit(cache=True, nogil=True)
 def surface_of(lowest, steep, step):
-    """The highest surface (X, Y) not above cells (X, Y) that rises by at most ``step`` more than their mean incline.
+    """The highest surface (X, Y) not above cells (X, Y) that rises by at most ``step`` more than
+    their mean incline.
 
-    The incline is the mean rise from cell to cell, at most ``step`` as well, of adjacent cells that can both be ground:
-    those that differ by at most ``steep`` in height.
+    The incline is the mean rise from cell to cell, at most ``step`` as well, of adjacent cells that
+    can both be ground: those that differ by at most ``steep`` in height.
     """
-    u, v = _rise(lowest, 0, steep, step), _rise(lowest, 1, steep, step)
+    u = _rise(lowest, 0, steep, step)
+    v = _rise(lowest, 1, steep, step)
     plane = u * np.arange(len(lowest)).reshape(-1, 1) + v * np.arange(lowest.shape[1])
     surface = lowest - plane
     _lower(surface, step)
@@ -186,22 +225,32 @@ def surface_of(lowest, steep, step):
 
 @njit(cache=True, nogil=True, parallel=True)
 def above(points, lift, first, surface, edge):
-    """(N,) float32, metres: height of points (N, 3) above a surface, interpolated between the centres of its cells.
+    """(N,) float32, metres: height of points (N, 3) above a surface, interpolated between the
+    centres of its cells.
 
-    Points outside get that of the border; points that are not finite, and all over unknown cells, are infinitely high.
+    Points outside get that of the border; points that are not finite, and all over unknown cells,
+    are infinitely high.
 
     Args:
-        lift: metres, added to the surface; first: (2,) int64, its first cell; edge: of a cell, metres.
+        lift: metres, added to the surface; first: (2,) int64, its first cell; edge: of a cell,
+            metres.
         surface: (X, X) int16, millimetres; 32767 where unknown.
     """
-    found, wide, per_metre = np.full(len(points), np.float32(np.inf)), surface.shape[0], 1.0 / edge
+    found = np.full(len(points), np.float32(np.inf))
+    wide = surface.shape[0]
+    per_metre = 1.0 / edge
     for i in prange(len(points)):
         if math.isfinite(points[i, 0] + points[i, 1] + points[i, 2]):
             u = min(max(points[i, 0] * per_metre - 0.5 - first[0], 0.0), wide - 1.0)
             v = min(max(points[i, 1] * per_metre - 0.5 - first[1], 0.0), wide - 1.0)
-            x, y = min(np.int64(u), wide - 2), min(np.int64(v), wide - 2)
-            u, v = u - x, v - y
-            a, b, c, d = surface[x, y], surface[x + 1, y], surface[x, y + 1], surface[x + 1, y + 1]
+            x = min(np.int64(u), wide - 2)
+            y = min(np.int64(v), wide - 2)
+            u = u - x
+            v = v - y
+            a = surface[x, y]
+            b = surface[x + 1, y]
+            c = surface[x, y + 1]
+            d = surface[x + 1, y + 1]
             if max(a, b, c, d) < UNKNOWN:
                 z = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
                 found[i] = points[i, 2] - lift - z / 1000
@@ -210,35 +259,45 @@ def above(points, lift, first, surface, edge):
 
 @njit(cache=True, nogil=True)
 def bands(heights, exact, low, highest):
-    """(N,) uint8: 0 for points on the ground, 1 for others near it, 3 for those that are too high, 2 for the rest.
+    """(N,) uint8: 0 for points on the ground, 1 for others near it, 3 for those that are too high,
+    2 for the rest.
 
     Args:
         heights: (N,) float32, metres above the ground, infinite if unknown, which is not too high.
-        exact, low, highest: float32, metres: points up to ``low`` are near the ground, and on it up to ``exact``.
+        exact, low, highest: float32, metres: points up to ``low`` are near the ground, and on it up
+            to ``exact``.
     """
     found = np.empty(len(heights), np.uint8)
     for i in range(len(heights)):
         h = heights[i]
-        near, above = np.uint8(h > exact), np.uint8(2) + np.uint8((h > highest) & (h < np.inf))
+        near = np.uint8(h > exact)
+        above = np.uint8(2) + np.uint8((h > highest) & (h < np.inf))
         found[i] = near if h <= low else above
     return found
 
 
 @njit(cache=True, nogil=True)
 def plane(x, y, z, weight, start, flat, exact, rounds):
-    """(3,) float64: the plane c + a x + b y through most points (K,) each: iterated least squares, which tend to L1.
+    """(3,) float64: the plane c + a x + b y through most points (K,) each.
+
+    Iterated least squares, which tend to L1.
 
     Args:
         x, y, z, weight: (K,) float64, metres, and without unit.
         start: (3,) float64, the first guess of c, a and b.
-        flat: square metres: weight of a = b = 0, so that a few cells near the origin do not tilt the plane.
+        flat: square metres: weight of a = b = 0, so that a few cells near the origin do not tilt
+            the plane.
         exact: metres: cells that fit worse count less, in inverse proportion.
         rounds: number of iterations.
     """
-    c, a, b = start[0], start[1], start[2]
+    c = start[0]
+    a = start[1]
+    b = start[2]
     for _ in range(rounds):
         m = np.zeros((3, 4))
-        m[0, 0], m[1, 1], m[2, 2] = 1e-6, flat, flat
+        m[0, 0] = 1e-6
+        m[1, 1] = flat
+        m[2, 2] = flat
         for k in range(len(x)):
             w = weight[k] / max(abs(z[k] - c - a * x[k] - b * y[k]), exact)
             row = (1.0, x[k], y[k], z[k])
@@ -251,5 +310,7 @@ def plane(x, y, z, weight, start, flat, exact, rounds):
                     share = m[k, i] / m[i, i]
                     for j in range(4):
                         m[k, j] -= share * m[i, j]
-        c, a, b = m[0, 3] / m[0, 0], m[1, 3] / m[1, 1], m[2, 3] / m[2, 2]
+        c = m[0, 3] / m[0, 0]
+        a = m[1, 3] / m[1, 1]
+        b = m[2, 3] / m[2, 2]
     return np.array([c, a, b])

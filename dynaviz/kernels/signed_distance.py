@@ -1,10 +1,12 @@
 """Projective TSDF: voxels compared with a range image.
 
-``view`` describes an image: rows, columns, elevation of the first row (radians), rows per radian, columns per radian.
-Rows run downwards from the highest elevation, columns from azimuth -pi; integer coordinates are pixel centres.
+``view`` describes an image: rows, columns, elevation of the first row (radians), rows per radian,
+columns per radian. Rows run downwards from the highest elevation, columns from azimuth -pi; integer
+coordinates are pixel centres.
 
-Only voxels whose bit is set in ``needed`` (B, 8) have state; bit v of word w is voxel 64 w + v of a block. The state of
-a block's voxels is consecutive from ``first[block]``, in the order of their bits.
+Only voxels whose bit is set in ``needed`` (B, 8) have state; bit v of word w is voxel 64 w + v of a
+block. The state of a block's voxels is consecutive from ``first[block]``, in the order of their
+bits.
 """
 
 import math
@@ -12,13 +14,20 @@ import math
 import numpy as np
 from numba import njit, prange
 
-WIDTHS = 6  # powers of two, from 1: numbers of columns over which the farthest range lets hidden blocks be skipped
+# powers of two, from 1: numbers of columns over which the farthest range lets hidden blocks be
+# skipped
+WIDTHS = 6
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
-_ONE, _TOP = np.uint64(1), np.uint64(56)
-_LOWEST, _TO_BYTE = np.uint64(0x0101010101010101), np.uint64(0x0102040810204080)
+_ONE = np.uint64(1)
+_TOP = np.uint64(56)
+_LOWEST = np.uint64(0x0101010101010101)
+_TO_BYTE = np.uint64(0x0102040810204080)
 ERROR = 2e-6  # radians: of an angle in float32, at most
-_F0, _F1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
-_PI, _HALF_PI = np.float32(math.pi), np.float32(math.pi / 2)
+_F0 = np.float32(0)
+_F1 = np.float32(1)
+_HALF = np.float32(0.5)
+_PI = np.float32(math.pi)
+_HALF_PI = np.float32(math.pi / 2)
 # arctan on [0, 1]: Abramowitz and Stegun 4.4.49, error below 2e-8
 _A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15 = (
     np.float32(a)
@@ -32,7 +41,8 @@ _A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15 = (
 @njit(cache=True, nogil=True, inline="always")
 def _angle(y, x):
     """The polar angle of (x, y) in float32, without branches."""
-    a, b = abs(x), abs(y)
+    a = abs(x)
+    b = abs(y)
     t = min(a, b) / max(max(a, b), np.float32(1e-30))
     s = t * t
     p = _A11 + s * (_A13 + s * _A15)
@@ -71,10 +81,16 @@ def pixels(points, position, axes, nearest, farthest, view):
         ranges: (N,) float32, metres.
         inside: (N,) bool: whether the range is within the limits.
     """
-    n, rows, columns = len(points), int(view[0]), int(view[1])
-    found, ranges, inside = np.full(n, np.int32(-1)), np.empty(n, np.float32), np.zeros(n, np.bool_)
+    n = len(points)
+    rows = int(view[0])
+    columns = int(view[1])
+    found = np.full(n, np.int32(-1))
+    ranges = np.empty(n, np.float32)
+    inside = np.zeros(n, np.bool_)
     for i in prange(n):
-        dx, dy, dz = points[i, 0] - position[0], points[i, 1] - position[1], points[i, 2] - position[2]
+        dx = points[i, 0] - position[0]
+        dy = points[i, 1] - position[1]
+        dz = points[i, 2] - position[2]
         r = math.sqrt(dx * dx + dy * dy + dz * dz)
         ranges[i] = r
         if not (nearest <= r <= farthest and 0 < r < np.inf):
@@ -102,13 +118,17 @@ def image(pixels, ranges, rows, columns):
 
 @njit(cache=True, nogil=True)
 def farthest(image, rows, columns):
-    """(WIDTHS, rows * columns) float32, metres: the farthest range in each pixel and its 2^k - 1 next ones, by k."""
+    """(WIDTHS, rows * columns) float32, metres.
+
+    The farthest range in each pixel and its 2^k - 1 next ones, by k.
+    """
     table = np.empty((WIDTHS, rows * columns), np.float32)
     table[0] = image
     for k in range(1, WIDTHS):
         shift = (1 << k - 1) % columns
         for row in range(rows):
-            before, here = table[k - 1, row * columns : (row + 1) * columns], row * columns
+            before = table[k - 1, row * columns : (row + 1) * columns]
+            here = row * columns
             for column in range(columns - shift):
                 table[k, here + column] = max(before[column], before[column + shift])
             for column in range(columns - shift, columns):
@@ -126,26 +146,42 @@ def _direction(y, x):
 def _shown(corner, edge, corners, axes, view, table, truncation):
     """Whether a pixel that shows a part of a block may have a range that updates it.
 
-    The corners bound height and azimuth. The block's distance from the vertical axis is least on an edge, whose middle
-    is nearer than its ends by at most what half its length adds.
+    The corners bound height and azimuth. The block's distance from the vertical axis is least on an
+    edge, whose middle is nearer than its ends by at most what half its length adds.
     """
-    rows, columns = int(view[0]), int(view[1])
+    rows = int(view[0])
+    columns = int(view[1])
     x0 = axes[0, 0] * corner[0] + axes[0, 1] * corner[1] + axes[0, 2] * corner[2]
     y0 = axes[1, 0] * corner[0] + axes[1, 1] * corner[1] + axes[1, 2] * corner[2]
     z0 = axes[2, 0] * corner[0] + axes[2, 1] * corner[1] + axes[2, 2] * corner[2]
-    cx, cy = x0 + 0.5 * corners[0, 7], y0 + 0.5 * corners[1, 7]
-    inner, outer, low, high, left, right, squared = np.inf, 0.0, np.inf, -np.inf, np.inf, -np.inf, 0.0
+    cx = x0 + 0.5 * corners[0, 7]
+    cy = y0 + 0.5 * corners[1, 7]
+    inner = np.inf
+    outer = 0.0
+    low = np.inf
+    high = -np.inf
+    left = np.inf
+    right = -np.inf
+    squared = 0.0
     for n in range(8):
-        x, y, z = x0 + corners[0, n], y0 + corners[1, n], z0 + corners[2, n]
-        inner, outer = min(inner, x * x + y * y), max(outer, x * x + y * y)
-        low, high = min(low, z), max(high, z)
+        x = x0 + corners[0, n]
+        y = y0 + corners[1, n]
+        z = z0 + corners[2, n]
+        inner = min(inner, x * x + y * y)
+        outer = max(outer, x * x + y * y)
+        low = min(low, z)
+        high = max(high, z)
         tangent = (cx * y - cy * x) / (cx * x + cy * y)  # of the azimuth from the centre's
-        left, right = min(left, tangent), max(right, tangent)
+        left = min(left, tangent)
+        right = max(right, tangent)
     if inner <= edge * edge:  # too close for these bounds
         return True
-    inner, outer = math.sqrt(inner - 0.25 * edge * edge), math.sqrt(outer)
-    top, bottom = _direction(high, inner if high > 0 else outer), _direction(low, outer if low > 0 else inner)
-    row_from, row_to = int((view[2] - top) * view[3]) - 1, int((view[2] - bottom) * view[3]) + 2
+    inner = math.sqrt(inner - 0.25 * edge * edge)
+    outer = math.sqrt(outer)
+    top = _direction(high, inner if high > 0 else outer)
+    bottom = _direction(low, outer if low > 0 else inner)
+    row_from = int((view[2] - top) * view[3]) - 1
+    row_to = int((view[2] - bottom) * view[3]) + 2
     azimuth = _direction(cy, cx) + math.pi
     first = int((azimuth + _direction(left, 1.0)) * view[4]) - 1
     last = int((azimuth + _direction(right, 1.0)) * view[4]) + 2
@@ -178,11 +214,15 @@ def in_view(blocks, chosen, edge, position, axes, view, table, truncation):
         table: as from ``farthest``.
         truncation: voxels up to this far behind a surface are updated, metres.
     """
-    radius, highest, seen = 0.8661 * edge, table[0].max(), np.zeros(len(chosen), np.bool_)
+    radius = 0.8661 * edge
+    highest = table[0].max()
+    seen = np.zeros(len(chosen), np.bool_)
     corners = np.empty((3, 8))  # metres, sensor axes: from the first corner of a block
     for n in range(8):
         for axis in range(3):
-            sides = axes[axis, 0] * (n >> 2) + axes[axis, 1] * (n >> 1 & 1) + axes[axis, 2] * (n & 1)
+            sides = (
+                axes[axis, 0] * (n >> 2) + axes[axis, 1] * (n >> 1 & 1) + axes[axis, 2] * (n & 1)
+            )
             corners[axis, n] = sides * edge
     for n in prange(len(chosen)):
         b = chosen[n]
@@ -191,7 +231,9 @@ def in_view(blocks, chosen, edge, position, axes, view, table, truncation):
             blocks[b, 1] * edge - position[1],
             blocks[b, 2] * edge - position[2],
         )
-        x, y, z = corner[0] + 0.5 * edge, corner[1] + 0.5 * edge, corner[2] + 0.5 * edge
+        x = corner[0] + 0.5 * edge
+        y = corner[1] + 0.5 * edge
+        z = corner[2] + 0.5 * edge
         if math.sqrt(x * x + y * y + z * z) <= radius + highest + truncation:
             seen[n] = _shown(corner, edge, corners, axes, view, table, truncation)
     return seen
@@ -216,12 +258,22 @@ def _places(needed, places):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project(corner, offsets, n, view, ranges, pixel):
-    """Ranges and pixels (-1 if not in view) of n positions; float32 without branches, so that it is vectorised."""
-    x0, y0, z0 = np.float32(corner[0]), np.float32(corner[1]), np.float32(corner[2])
-    rows, columns = np.float32(view[0]), np.float32(view[1])
-    top, per_row, per_column = np.float32(view[2]), np.float32(view[3]), np.float32(view[4])
+    """Ranges and pixels (-1 if not in view) of n positions.
+
+    Float32 without branches, so that it is vectorised.
+    """
+    x0 = np.float32(corner[0])
+    y0 = np.float32(corner[1])
+    z0 = np.float32(corner[2])
+    rows = np.float32(view[0])
+    columns = np.float32(view[1])
+    top = np.float32(view[2])
+    per_row = np.float32(view[3])
+    per_column = np.float32(view[4])
     for i in range(n):
-        x, y, z = x0 + offsets[0, i], y0 + offsets[1, i], z0 + offsets[2, i]
+        x = x0 + offsets[0, i]
+        y = y0 + offsets[1, i]
+        z = z0 + offsets[2, i]
         flat = np.sqrt(x * x + y * y)
         ranges[i] = np.sqrt(x * x + y * y + z * z)
         row = np.floor((top - _angle(z, flat)) * per_row + _HALF)
@@ -235,10 +287,15 @@ def _project(corner, offsets, n, view, ranges, pixel):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _average(depths, ranges, n, trunc, below, most, distance, weight, flags):
-    """Update n voxels; flags: bit 0 is set if the image updates it, bit 1 if its distance is then under ``below``."""
+    """Update n voxels; flags.
+
+    Bit 0 is set if the image updates it, bit 1 if its distance is then under ``below``.
+    """
     any_updated = False
     for i in range(n):
-        depth, old, mass = depths[i], distance[i], np.float32(weight[i])
+        depth = depths[i]
+        old = distance[i]
+        mass = np.float32(weight[i])
         behind = depth - ranges[i]
         seen = (depth > _F0) & (behind >= -trunc)
         mean = (old * mass + min(behind, trunc)) / (mass + _F1)
@@ -254,9 +311,11 @@ def _remember(flags, updated, near, observed):
     """Set and clear the bits of a block's voxels (8,) by flags (512,) as from ``_average``."""
     eights = flags.view(np.uint64)
     for w in range(8):
-        seen, close = np.uint64(0), np.uint64(0)
+        seen = np.uint64(0)
+        close = np.uint64(0)
         for v in range(8):  # the product moves the lowest bits of eight flags to the highest byte
-            eight, shift = eights[w << 3 | v], np.uint64(v << 3)
+            eight = eights[w << 3 | v]
+            shift = np.uint64(v << 3)
             seen |= (eight & _LOWEST) * _TO_BYTE >> _TOP << shift
             close |= (eight >> _ONE & _LOWEST) * _TO_BYTE >> _TOP << shift
         updated[w] |= seen
@@ -271,24 +330,33 @@ def integrate(
 ):  # fmt: skip
     """Update the voxels of the active blocks with the distances from the image.
 
-    Sets the bits of voxels ``observed`` so far, ``near`` (distance below ``near_below``) and ``updated`` in this frame.
+    Sets the bits of voxels ``observed`` so far, ``near`` (distance below ``near_below``) and
+    ``updated`` in this frame.
 
     Args:
         active: (A,) int32, rows of ``blocks``.
         blocks: (B, 3) int64, indices of the blocks from the world's origin.
         size: edge of a voxel, metres.
         position, axes, view, image: as above.
-        offsets: (3, 512) float32, metres, sensor axes: from a block's corner to the centres of its voxels.
+        offsets: (3, 512) float32, metres, sensor axes: from a block's corner to the centres of its
+            voxels.
         truncation, near_below: metres.
         most: maximum weight, observations.
         needed, first: voxels with state, as above.
-        distance: float32, metres; weight: uint16, observations; both of all voxels with state. Modified.
+        distance: float32, metres; weight: uint16, observations; both of all voxels with state.
+            Modified.
     """
-    trunc, below, heaviest = np.float32(truncation), np.float32(near_below), np.uint16(most)
+    trunc = np.float32(truncation)
+    below = np.float32(near_below)
+    heaviest = np.uint16(most)
     for lane in prange(lanes):
-        places, pixel = np.empty(512, np.int32), np.empty(512, np.int32)
-        flags, marks = np.empty(512, np.uint8), np.empty(512, np.uint8)
-        ranges, depths, some = np.empty(512, np.float32), np.empty(512, np.float32), np.empty((3, 512), np.float32)
+        places = np.empty(512, np.int32)
+        pixel = np.empty(512, np.int32)
+        flags = np.empty(512, np.uint8)
+        marks = np.empty(512, np.uint8)
+        ranges = np.empty(512, np.float32)
+        depths = np.empty(512, np.float32)
+        some = np.empty((3, 512), np.float32)
         corner = np.empty(3, np.float64)
         for a in range(lane, len(active), lanes):
             b = active[a]
@@ -297,7 +365,8 @@ def integrate(
             dz = blocks[b, 2] * 8 * size - position[2]
             for axis in range(3):
                 corner[axis] = axes[axis, 0] * dx + axes[axis, 1] * dy + axes[axis, 2] * dz
-            n, start = _places(needed[b], places), first[b]
+            n = _places(needed[b], places)
+            start = first[b]
             if n == 512:
                 _project(corner, offsets, n, view, ranges, pixel)
             else:
@@ -307,7 +376,8 @@ def integrate(
                 _project(corner, some, n, view, ranges, pixel)
             for i in range(n):
                 depths[i] = image[pixel[i]] if pixel[i] >= 0 else _F0
-            own, heavy = distance[start : start + n], weight[start : start + n]
+            own = distance[start : start + n]
+            heavy = weight[start : start + n]
             if not _average(depths, ranges, n, trunc, below, heaviest, own, heavy, flags):
                 continue
             if n < 512:

@@ -11,12 +11,15 @@ from dynaviz.kernels.keys import REACH
 @njit(cache=True, nogil=True, inline="always")
 def _cell(point, cell, first):
     """The cell of a point along x and y, counted from the cell ``first``."""
-    return np.int64(math.floor(point[0] / cell)) - first[0], np.int64(math.floor(point[1] / cell)) - first[1]
+    return np.int64(math.floor(point[0] / cell)) - first[0], np.int64(
+        math.floor(point[1] / cell)
+    ) - first[1]
 
 
 @njit(cache=True, nogil=True)
 def in_or_next_to(points, chosen, among, cell):
-    """(N,) bool: points in a cell, seen from above, that contains a chosen point or is adjacent to such a cell.
+    """(N,) bool: points in a cell, seen from above, that contains a chosen point or is adjacent to
+    such a cell.
 
     Args:
         points: (N, 3) float32, metres.
@@ -24,16 +27,19 @@ def in_or_next_to(points, chosen, among, cell):
         among: (N,) bool: the points in question, which must be finite; False for all others.
         cell: edge of a cell, metres.
     """
-    low, high = np.array([REACH, REACH]), np.array([-REACH, -REACH])
+    low = np.array([REACH, REACH])
+    high = np.array([-REACH, -REACH])
     for i in range(len(points)):
         if chosen[i]:
             for axis in range(2):
                 c = np.int64(math.floor(points[i, axis] / cell))
-                low[axis], high[axis] = min(low[axis], c), max(high[axis], c)
+                low[axis] = min(low[axis], c)
+                high[axis] = max(high[axis], c)
     found = np.zeros(len(points), np.bool_)
     if high[0] < low[0]:
         return found
-    picture, first = np.zeros((high[0] - low[0] + 3, high[1] - low[1] + 3), np.bool_), low - 1
+    picture = np.zeros((high[0] - low[0] + 3, high[1] - low[1] + 3), np.bool_)
+    first = low - 1
     for i in range(len(points)):
         if chosen[i]:
             x, y = _cell(points[i], cell, first)

@@ -18,12 +18,14 @@ def add(points, voxels, dynamic, per_metre, static_count, dynamic_count, within)
         dynamic: (N,) bool.
         per_metre: voxels per metre.
         static_count, dynamic_count: (B, 512) uint16. Modified.
-        within: (B, 512, 3) uint8: where in its voxel the point lies, in 256ths of its edge. Modified.
+        within: (B, 512, 3) uint8: where in its voxel the point lies, in 256ths of its edge.
+            Modified.
     """
     for i in range(len(voxels)):
         if voxels[i] < 0:
             continue
-        block, v = voxels[i] >> 9, voxels[i] & 511
+        block = voxels[i] >> 9
+        v = voxels[i] & 511
         if dynamic[i]:
             if dynamic_count[block, v] < MOST:
                 dynamic_count[block, v] += 1
@@ -38,7 +40,10 @@ def add(points, voxels, dynamic, per_metre, static_count, dynamic_count, within)
 
 @njit(cache=True, nogil=True)
 def points(exists, blocks, size, static_count, dynamic_count, within):
-    """(M, 3) float32, metres: the points of voxels, of edge ``size``, labelled static more often than dynamic."""
+    """(M, 3) float32, metres.
+
+    The points of voxels, of edge ``size``, labelled static more often than dynamic.
+    """
     count = 0
     for block in range(len(exists)):
         if exists[block]:

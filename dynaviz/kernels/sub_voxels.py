@@ -1,8 +1,10 @@
-"""A map of sub-voxels, 64 to a voxel: each holds the scan that filled it, and how surely it is dynamic.
+"""A map of sub-voxels, 64 to a voxel.
 
-A voxel is block * 512 + index in the block. ``rows`` (B * 512,) int32 gives each voxel its row in the map, -1 if empty.
-``scans`` (R, 64) int32 is the scan that filled a sub-voxel, -1 if empty; ``levels`` (R, 64) uint8 its level, 0 static,
-with RAISED added if it was raised after the scan.
+Each holds the scan that filled it, and how surely it is dynamic.
+
+A voxel is block * 512 + index in the block. ``rows`` (B * 512,) int32 gives each voxel its row in
+the map, -1 if empty. ``scans`` (R, 64) int32 is the scan that filled a sub-voxel, -1 if empty;
+``levels`` (R, 64) uint8 its level, 0 static, with RAISED added if it was raised after the scan.
 """
 
 import math
@@ -10,13 +12,17 @@ import math
 import numpy as np
 from numba import njit
 
-LEVEL, RAISED = 3, 4
+LEVEL = 3
+RAISED = 4
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _beside(voxel, k, neighbours):
-    block, place = voxel >> 9, voxel & 511
-    x, y, z = (place >> 6) + k // 9 - 1, (place >> 3 & 7) + k // 3 % 3 - 1, (place & 7) + k % 3 - 1
+    block = voxel >> 9
+    place = voxel & 511
+    x = (place >> 6) + k // 9 - 1
+    y = (place >> 3 & 7) + k // 3 % 3 - 1
+    z = (place & 7) + k % 3 - 1
     side = ((x >> 3) + 1) * 9 + ((y >> 3) + 1) * 3 + (z >> 3) + 1
     if side != 13:
         block = np.int64(neighbours[block, side])
@@ -54,11 +60,14 @@ def insert(voxels, places, number, level, rows, owners, used, scans, levels):
         r = rows[voxels[i]]
         if r < 0:
             r = np.int32(used)
-            rows[voxels[i]], owners[r] = r, voxels[i]
+            rows[voxels[i]] = r
+            owners[r] = voxels[i]
             used += 1
-        s, mine = places[i], level[voxels[i]]
+        s = places[i]
+        mine = level[voxels[i]]
         if scans[r, s] < 0 or (scans[r, s] != number and levels[r, s] & LEVEL > mine):
-            scans[r, s], levels[r, s] = number, mine
+            scans[r, s] = number
+            levels[r, s] = mine
     return used
 
 
@@ -80,7 +89,8 @@ def _raise(scans, levels, row, number, level):
 @njit(cache=True, nogil=True)
 def pairs(voxels, rows, scans):
     """(M, 2) int64: each scan in each of some voxels (N,), and the voxel."""
-    found, n = np.empty((64 * len(voxels), 2), np.int64), 0
+    found = np.empty((64 * len(voxels), 2), np.int64)
+    n = 0
     for voxel in voxels:
         r = rows[voxel]
         if r >= 0:
@@ -89,14 +99,16 @@ def pairs(voxels, rows, scans):
                 for t in range(s):
                     first &= scans[r, t] != scans[r, s]
                 if first:
-                    found[n, 0], found[n, 1] = scans[r, s], voxel
+                    found[n, 0] = scans[r, s]
+                    found[n, 1] = voxel
                     n += 1
     return found[:n].copy()
 
 
 @njit(cache=True, nogil=True)
 def take_back(seeds, steps, neighbours, rows, scans, levels, marks, stamp):
-    """Raise the levels of what earlier scans saw in voxels that have turned free, and grow it within each scan.
+    """Raise the levels of what earlier scans saw in voxels that have turned free, and grow it
+    within each scan.
 
     Args:
         seeds: (M, 2) int64, scan and voxel, sorted by scan.
@@ -108,8 +120,10 @@ def take_back(seeds, steps, neighbours, rows, scans, levels, marks, stamp):
     """
     start = 0
     while start < len(seeds):
-        number, end = seeds[start, 0], start
-        front, n = np.empty(27, np.int64), 0
+        number = seeds[start, 0]
+        end = start
+        front = np.empty(27, np.int64)
+        n = 0
         while end < len(seeds) and seeds[end, 0] == number:
             end += 1
         front = seeds[start:end, 1].copy()
@@ -118,7 +132,8 @@ def take_back(seeds, steps, neighbours, rows, scans, levels, marks, stamp):
             marks[rows[voxel]] = stamp
             _raise(scans, levels, rows[voxel], number, 3)
         for step in range(steps):
-            after, n = np.empty(26 * len(front) + 1, np.int64), 0
+            after = np.empty(26 * len(front) + 1, np.int64)
+            n = 0
             for voxel in front:
                 for k in range(27):
                     other = _beside(voxel, k, neighbours)

@@ -22,11 +22,14 @@ def mark(points, corner, edge, interest):
     done = np.zeros(interest.shape, np.bool_)
     inverse = 1.0 / edge
     for i in range(len(points)):
-        x, y, z = ((points[i, 0] - corner[0]) * inverse, (points[i, 1] - corner[1]) * inverse,
-                   (points[i, 2] - corner[2]) * inverse)  # fmt: skip
+        x = (points[i, 0] - corner[0]) * inverse
+        y = (points[i, 1] - corner[1]) * inverse
+        z = (points[i, 2] - corner[2]) * inverse
         if not (0.0 <= x < done.shape[0] and 0.0 <= y < done.shape[1] and 0.0 <= z < done.shape[2]):
             continue
-        a, b, c = int(x), int(y), int(z)
+        a = int(x)
+        b = int(y)
+        c = int(z)
         if done[a, b, c]:
             continue
         done[a, b, c] = True
@@ -38,7 +41,10 @@ def mark(points, corner, edge, interest):
 
 @njit(cache=True, nogil=True)
 def centres(keys, size):
-    """(N, 3) float32, metres: the centres of voxels with keys (N, 3) int32 and this edge in metres."""
+    """(N, 3) float32, metres.
+
+    The centres of voxels with keys (N, 3) int32 and this edge in metres.
+    """
     points = np.empty((len(keys), 3), np.float32)
     for i in range(len(keys)):
         for axis in range(3):
@@ -48,7 +54,9 @@ def centres(keys, size):
 
 @njit(cache=True, nogil=True)
 def split(points, corner, edge, interest):
-    """Sort points into those in cells of interest and others; points outside of the grid of cells are left out.
+    """Sort points into those in cells of interest and others.
+
+    Points outside of the grid of cells are left out.
 
     Args:
         points: (N, 3) float32, metres.
@@ -59,12 +67,20 @@ def split(points, corner, edge, interest):
     Returns:
         near, others: int64 indices, ascending.
     """
-    near, others = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
-    n, m, inverse = 0, 0, 1.0 / edge
+    near = np.empty(len(points), np.int64)
+    others = np.empty(len(points), np.int64)
+    n = 0
+    m = 0
+    inverse = 1.0 / edge
     for i in range(len(points)):
-        x, y, z = ((points[i, 0] - corner[0]) * inverse, (points[i, 1] - corner[1]) * inverse,
-                   (points[i, 2] - corner[2]) * inverse)  # fmt: skip
-        if 0.0 <= x < interest.shape[0] and 0.0 <= y < interest.shape[1] and 0.0 <= z < interest.shape[2]:
+        x = (points[i, 0] - corner[0]) * inverse
+        y = (points[i, 1] - corner[1]) * inverse
+        z = (points[i, 2] - corner[2]) * inverse
+        if (
+            0.0 <= x < interest.shape[0]
+            and 0.0 <= y < interest.shape[1]
+            and 0.0 <= z < interest.shape[2]
+        ):
             if interest[np.int64(x), np.int64(y), np.int64(z)]:
                 near[n] = i
                 n += 1
@@ -82,7 +98,8 @@ def thinned(points, rows, centre, size, near, most, share):
         points: (N, 3) float32, metres.
         rows: (K,) int64, indices of finite points.
         centre: (3,) float64, metres.
-        size: metres: edge of a cell up to a distance of ``near`` from the centre; it doubles with the distance.
+        size: metres: edge of a cell up to a distance of ``near`` from the centre; it doubles with
+            the distance.
         near: metres.
         most: number of points to return; the search ends at the next one.
         share: of the rows to look at, evenly spread.
@@ -94,16 +111,22 @@ def thinned(points, rows, centre, size, near, most, share):
     room = 64
     while room < 2 * min(most, len(rows)):
         room *= 2
-    table, mask = np.zeros(room, np.uint64), np.uint64(room - 1)
-    kept, count, last = np.empty(min(most, len(rows)), np.int64), 0, FREE
+    table = np.zeros(room, np.uint64)
+    mask = np.uint64(room - 1)
+    kept = np.empty(min(most, len(rows)), np.int64)
+    count = 0
+    last = FREE
     limit = np.uint64(share * 2.0**32)
     for row in rows:
-        if np.uint64(row) * GOLDEN >> np.uint64(32) & np.uint64(0xFFFFFFFF) >= limit:  # multiples of the golden ratio
+        if (
+            np.uint64(row) * GOLDEN >> np.uint64(32) & np.uint64(0xFFFFFFFF) >= limit
+        ):  # multiples of the golden ratio
             continue
         reach = 0.0
         for axis in range(3):
             reach = max(reach, abs(points[row, axis] - centre[axis]))
-        level, inverse = np.uint64(1), 1.0 / size
+        level = np.uint64(1)
+        inverse = 1.0 / size
         while reach > near * 2.0:
             level += np.uint64(1)
             inverse *= 0.5

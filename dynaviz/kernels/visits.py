@@ -7,7 +7,10 @@ from numba import njit
 
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
-FIRST, LAST, FRAMES = 0, 1, 2  # columns of a cell
+# columns of a cell
+FIRST = 0
+LAST = 1
+FRAMES = 2
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -26,7 +29,8 @@ def visit(points, begin, step, frame, size, keys, visits, used):
     """Count a frame for the cells of its points; stop where the table is half full.
 
     Args:
-        points: (N, 3) float32, metres, world frame. Points that are not finite or too far away are skipped.
+        points: (N, 3) float32, metres, world frame. Points that are not finite or too far away are
+            skipped.
         begin, step: number of the first point to count, and from each to the next.
         frame: position in the run.
         size: edge of a cell, metres.
@@ -37,21 +41,31 @@ def visit(points, begin, step, frame, size, keys, visits, used):
     Returns:
         The number of the first point that was not counted, and the number of cells in the table.
     """
-    inverse, last, s = 1.0 / size, np.int64(-1), np.int64(0)
+    inverse = 1.0 / size
+    last = np.int64(-1)
+    s = np.int64(0)
     for i in range(begin, len(points), step):
-        a, b, c = points[i, 0] * inverse, points[i, 1] * inverse, points[i, 2] * inverse
+        a = points[i, 0] * inverse
+        b = points[i, 1] * inverse
+        c = points[i, 2] * inverse
         if not (abs(a) < REACH - 1 and abs(b) < REACH - 1 and abs(c) < REACH - 1):
             continue
-        x, y, z = np.int64(math.floor(a)), np.int64(math.floor(b)), np.int64(math.floor(c))
+        x = np.int64(math.floor(a))
+        y = np.int64(math.floor(b))
+        z = np.int64(math.floor(c))
         key = (x + REACH) << X_SHIFT | (y + REACH) << Y_SHIFT | (z + REACH)
         if key == last:  # consecutive points often share a cell
             continue
-        s, last = _slot(keys, key), key
+        s = _slot(keys, key)
+        last = key
         if keys[s] < 0:
             if 2 * used >= len(keys):
                 return i, used
-            keys[s], used = key, used + 1
-            visits[s, FIRST], visits[s, LAST], visits[s, FRAMES] = frame, -1, 0
+            keys[s] = key
+            used = used + 1
+            visits[s, FIRST] = frame
+            visits[s, LAST] = -1
+            visits[s, FRAMES] = 0
         if visits[s, LAST] != frame:
             visits[s, LAST] = frame
             visits[s, FRAMES] += 1
@@ -61,7 +75,8 @@ def visit(points, begin, step, frame, size, keys, visits, used):
 @njit(cache=True, nogil=True)
 def grow(keys, visits, size):
     """The same cells in tables of ``size`` rows, a power of two."""
-    more, kept = np.full(size, np.int64(-1)), np.empty((size, 3), np.int32)
+    more = np.full(size, np.int64(-1))
+    kept = np.empty((size, 3), np.int32)
     for i in range(len(keys)):
         if keys[i] >= 0:
             s = _slot(more, keys[i])

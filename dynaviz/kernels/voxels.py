@@ -13,7 +13,10 @@ Keys = I64
 
 @njit(cache=True, nogil=True)
 def pack(points: F32, size: float) -> tuple[Keys, bool]:
-    """(N,) int64: packed keys of points (N, 3), metres, with voxels of edge ``size`` metres; and whether all fit."""
+    """(N,) int64: packed keys of points (N, 3), metres, with voxels of edge ``size`` metres.
+
+    And whether all fit.
+    """
     keys = np.empty(len(points), np.int64)
     inverse = 1.0 / size
     for i in range(len(points)):
@@ -29,7 +32,10 @@ def pack(points: F32, size: float) -> tuple[Keys, bool]:
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(key: np.int64, mask: int) -> np.int64:
-    """First slot of a key, mixed twice: after one product, no bit depends on the axes in higher bits."""
+    """First slot of a key, mixed twice.
+
+    After one product, no bit depends on the axes in higher bits.
+    """
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
     return np.int64(h >> np.uint64(32)) & mask
@@ -37,7 +43,10 @@ def _slot(key: np.int64, mask: int) -> np.int64:
 
 @njit(cache=True, nogil=True)
 def insert(slots: Keys, keys: Keys) -> Bool:
-    """Insert keys (N,) into a table whose size is a power of two (-1: free); return (N,) bool, True for new keys."""
+    """Insert keys (N,) into a table whose size is a power of two (-1: free).
+
+    Return (N,) bool, True for new keys.
+    """
     new = np.zeros(len(keys), np.bool_)
     mask = len(slots) - 1
     for i in range(len(keys)):

@@ -1,7 +1,8 @@
 """Cells of a rolling window that rays reach, and the blocks of a grid that come and go with them.
 
-The flags of cells lie in a cube of ``size``^3 bytes that wraps around: cell (x, y, z) is at the remainders modulo its
-edge, a power of two. Cells farther apart than the edge never exist at the same time.
+The flags of cells lie in a cube of ``size``^3 bytes that wraps around: cell (x, y, z) is at the
+remainders modulo its edge, a power of two. Cells farther apart than the edge never exist at the
+same time.
 """
 
 import math
@@ -9,7 +10,9 @@ import math
 import numpy as np
 from numba import njit
 
-PRESENT, VISITED, ENDED = np.uint8(1), np.uint8(2), np.uint8(4)
+PRESENT = np.uint8(1)
+VISITED = np.uint8(2)
+ENDED = np.uint8(4)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -20,24 +23,31 @@ def _at(x, y, z, mask):
 
 @njit(cache=True, nogil=True, inline="always")
 def _add_around(x, y, z, flags, mask, cells, count, reach):
-    """Add a cell and those up to ``reach`` cells to each side; returns the number of cells, at most ``len(cells)``."""
+    """Add a cell and those up to ``reach`` cells to each side.
+
+    Returns the number of cells, at most ``len(cells)``.
+    """
     for i in range(x - reach, x + reach + 1):
         for j in range(y - reach, y + reach + 1):
             for k in range(z - reach, z + reach + 1):
                 at = _at(i, j, k, mask)
                 if not flags[at] & PRESENT and count < len(cells):
                     flags[at] |= PRESENT
-                    cells[count, 0], cells[count, 1], cells[count, 2] = i, j, k
+                    cells[count, 0] = i
+                    cells[count, 1] = j
+                    cells[count, 2] = k
                     count += 1
     return count
 
 
 @njit(cache=True, nogil=True)
 def visit(points, origins, reach, per_metre, around, flags, mask, cells, count):
-    """Add the cells within ``around`` cells of those that rays cross, up to a distance from their origins.
+    """Add the cells within ``around`` cells of those that rays cross, up to a distance from their
+    origins.
 
-    One ray per cell with points is followed, to the cell's centre, in steps of three quarters of a cell. Both ends of
-    any other ray to that cell are within half a cell of it, so all of it lies within one cell of those visited.
+    One ray per cell with points is followed, to the cell's centre, in steps of three quarters of a
+    cell. Both ends of any other ray to that cell are within half a cell of it, so all of it lies
+    within one cell of those visited.
 
     Args:
         points: (N, 3) float32, metres, world frame.
@@ -58,7 +68,9 @@ def visit(points, origins, reach, per_metre, around, flags, mask, cells, count):
     n = 0
     for p in range(len(points)):
         q = p if several else 0
-        dx, dy, dz = points[p, 0] - origins[q, 0], points[p, 1] - origins[q, 1], points[p, 2] - origins[q, 2]
+        dx = points[p, 0] - origins[q, 0]
+        dy = points[p, 1] - origins[q, 1]
+        dz = points[p, 2] - origins[q, 2]
         squared = dx * dx + dy * dy + dz * dz
         if not squared < np.inf:
             continue
@@ -69,12 +81,19 @@ def visit(points, origins, reach, per_metre, around, flags, mask, cells, count):
         at = _at(x, y, z, mask)
         if several or not flags[at] & ENDED:
             flags[at] |= ENDED
-            ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3] = x, y, z, q
+            ends[n, 0] = x
+            ends[n, 1] = y
+            ends[n, 2] = z
+            ends[n, 3] = q
             n += 1
     for e in range(n):
         q = ends[e, 3]
-        ox, oy, oz = origins[q, 0] * per_metre, origins[q, 1] * per_metre, origins[q, 2] * per_metre
-        dx, dy, dz = ends[e, 0] + 0.5 - ox, ends[e, 1] + 0.5 - oy, ends[e, 2] + 0.5 - oz
+        ox = origins[q, 0] * per_metre
+        oy = origins[q, 1] * per_metre
+        oz = origins[q, 2] * per_metre
+        dx = ends[e, 0] + 0.5 - ox
+        dy = ends[e, 1] + 0.5 - oy
+        dz = ends[e, 2] + 0.5 - oz
         steps = math.ceil(max(abs(dx), abs(dy), abs(dz)) / 0.75) + 1
         for s in range(steps + 1):
             t = s / steps
@@ -91,21 +110,31 @@ def visit(points, origins, reach, per_metre, around, flags, mask, cells, count):
 
 @njit(cache=True, nogil=True)
 def drop(centre, limit, inner, flags, mask, cells, count):
-    """Drop the cells farther than ``limit`` from a centre, all in cells; returns the number of the others.
+    """Drop the cells farther than ``limit`` from a centre, all in cells.
 
-    Cells farther than ``inner`` count as not visited, so that those dropped next to them return when rays do.
+    Returns the number of the others.
+
+    Cells farther than ``inner`` count as not visited, so that those dropped next to them return
+    when rays do.
     """
     kept = 0
     for n in range(count):
-        x, y, z = np.int64(cells[n, 0]), np.int64(cells[n, 1]), np.int64(cells[n, 2])
-        dx, dy, dz = x + 0.5 - centre[0], y + 0.5 - centre[1], z + 0.5 - centre[2]
-        squared, at = dx * dx + dy * dy + dz * dz, _at(x, y, z, mask)
+        x = np.int64(cells[n, 0])
+        y = np.int64(cells[n, 1])
+        z = np.int64(cells[n, 2])
+        dx = x + 0.5 - centre[0]
+        dy = y + 0.5 - centre[1]
+        dz = z + 0.5 - centre[2]
+        squared = dx * dx + dy * dy + dz * dz
+        at = _at(x, y, z, mask)
         if squared > limit * limit:
             flags[at] = 0
             continue
         if squared > inner * inner:
             flags[at] &= ~VISITED
-        cells[kept, 0], cells[kept, 1], cells[kept, 2] = x, y, z
+        cells[kept, 0] = x
+        cells[kept, 1] = y
+        cells[kept, 2] = z
         kept += 1
     return kept
 
@@ -119,13 +148,15 @@ def add_blocks(blocks, base, shape, top, children, sizes, keys, free, free_child
         base, shape, top, children: the directory. Modified.
         sizes: (rows of children,) int32, number of blocks in each. Modified.
         keys: (capacity, 3) int64, indices of the grid's blocks. Modified.
-        free, free_children: numbers of blocks and rows of children that are free; the last is used next.
+        free, free_children: numbers of blocks and rows of children that are free; the last is used
+            next.
         left: (2,) int64, how many of these are left. Modified.
 
     Returns:
         (A,) int32: numbers of the added blocks; and whether there was room for all.
     """
-    added, n = np.empty(len(blocks), np.int32), 0
+    added = np.empty(len(blocks), np.int32)
+    n = 0
     for k in range(len(blocks)):
         x = np.int64(blocks[k, 0]) - (base[0] << 4)
         y = np.int64(blocks[k, 1]) - (base[1] << 4)
@@ -143,7 +174,9 @@ def add_blocks(blocks, base, shape, top, children, sizes, keys, free, free_child
         block = free[left[0]]
         children[top[j], c] = block + 1
         sizes[top[j]] += 1
-        keys[block, 0], keys[block, 1], keys[block, 2] = blocks[k, 0], blocks[k, 1], blocks[k, 2]
+        keys[block, 0] = blocks[k, 0]
+        keys[block, 1] = blocks[k, 1]
+        keys[block, 2] = blocks[k, 2]
         added[n] = block
         n += 1
     return added[:n], True
@@ -151,10 +184,15 @@ def add_blocks(blocks, base, shape, top, children, sizes, keys, free, free_child
 
 @njit(cache=True, nogil=True)
 def remove_blocks(blocks, base, shape, top, children, sizes, keys, free, free_children, left):
-    """Remove blocks by their numbers (K,), which are not free yet; the other arguments are those of ``add_blocks``."""
+    """Remove blocks by their numbers (K,), which are not free yet.
+
+    The other arguments are those of ``add_blocks``.
+    """
     for k in range(len(blocks)):
         block = blocks[k]
-        x, y, z = keys[block, 0] - (base[0] << 4), keys[block, 1] - (base[1] << 4), keys[block, 2] - (base[2] << 4)
+        x = keys[block, 0] - (base[0] << 4)
+        y = keys[block, 1] - (base[1] << 4)
+        z = keys[block, 2] - (base[2] << 4)
         j = ((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)
         row = top[j]
         children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)] = 0
@@ -167,15 +205,16 @@ def remove_blocks(blocks, base, shape, top, children, sizes, keys, free, free_ch
 
 @njit(cache=True, nogil=True)
 def far_blocks(keys, exists, centre, limit):
-    """(K,) int32: the existing blocks whose centres are farther than ``limit`` from a centre, all in blocks."""
-    found, n = np.empty(len(keys), np.int32), 0
+    """(K,) int32: the existing blocks whose centres are farther than ``limit`` from a centre, all
+    in blocks.
+    """
+    found = np.empty(len(keys), np.int32)
+    n = 0
     for block in range(len(keys)):
         if exists[block]:
-            dx, dy, dz = (
-                keys[block, 0] + 0.5 - centre[0],
-                keys[block, 1] + 0.5 - centre[1],
-                keys[block, 2] + 0.5 - centre[2],
-            )
+            dx = keys[block, 0] + 0.5 - centre[0]
+            dy = keys[block, 1] + 0.5 - centre[1]
+            dz = keys[block, 2] + 0.5 - centre[2]
             if dx * dx + dy * dy + dz * dz > limit * limit:
                 found[n] = block
                 n += 1
@@ -184,7 +223,8 @@ def far_blocks(keys, exists, centre, limit):
 
 @njit(cache=True, nogil=True)
 def join(blocks, base, shape, top, children, keys, neighbours):
-    """Enter the 27 neighbours of new blocks (K,), in the order of x, y and z, and the blocks in those of theirs.
+    """Enter the 27 neighbours of new blocks (K,), in the order of x, y and z, and the blocks in
+    those of theirs.
 
     Args:
         base, shape, top, children, keys: as for ``add_blocks``.

@@ -35,16 +35,20 @@ def live(
 
     Args:
         method: its name (``dynaviz list methods``).
-        sensor: name of the sensor (``dynaviz list sensors``), a TOML file, or a ``Sensor``; some methods need none.
-        reach: metres around the sensor within which points are judged. What lies a tenth farther is forgotten.
-        keep: number of last scans that ``LiveSession.revise`` labels again, and with which BeautyMap compares a scan.
+        sensor: name of the sensor (``dynaviz list sensors``), a TOML file, or a ``Sensor``; some
+            methods need none.
+        reach: metres around the sensor within which points are judged. What lies a tenth farther is
+            forgotten.
+        keep: number of last scans that ``LiveSession.revise`` labels again, and with which
+            BeautyMap compares a scan.
         map_voxel: edge of the voxels of the static map, metres; one point each.
         preset, config, settings: layers of parameters, as for ``dynaviz.run``.
         seed: for all randomness in the method.
         threads: for kernels; None for all cores.
 
     Raises:
-        UsageError: for an unknown method or sensor, an invalid number, or a method that cannot run live; says why.
+        UsageError: for an unknown method or sensor, an invalid number, or a method that cannot run
+            live; says why.
     """
     check_numbers(reach, keep, map_voxel)
     kind = registry.load("methods", method)
@@ -52,7 +56,9 @@ def live(
     if reason:
         raise UsageError(f"{method} cannot run live: {reason}. Use one of {', '.join(_able())}")
     if kind.info.needs_map and keep == 0:
-        raise UsageError(f"keep = 0: {method} compares each scan with the last ones. Give at least 1")
+        raise UsageError(
+            f"keep = 0: {method} compares each scan with the last ones. Give at least 1"
+        )
     resolved = params.resolve(kind, preset, config, settings)
     chosen = load_sensor(sensor) if isinstance(sensor, str) else sensor or Sensor()
     kernels.set_threads(threads)
@@ -80,9 +86,13 @@ def why_not_live(kind: type[Method]) -> str | None:
     if issubclass(kind, Live):
         return None
     if kind.info.needs_map:
-        return "it compares each scan with the map of all scans, which exists only after the last one"
+        return (
+            "it compares each scan with the map of all scans, which exists only after the last one"
+        )
     return "it has no forget(index), so its memory would grow with every scan"
 
 
 def _able() -> list[str]:
-    return [name for name, kind in registry.loadable("methods").items() if why_not_live(kind) is None]
+    return [
+        name for name, kind in registry.loadable("methods").items() if why_not_live(kind) is None
+    ]

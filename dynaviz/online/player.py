@@ -105,15 +105,19 @@ class PlayReport:
         }
 
     def __str__(self) -> str:
-        count, lost = len(self.latencies), len(self.dropped)
+        count = len(self.latencies)
+        lost = len(self.dropped)
         share = 100 * self.dynamic / max(self.points, 1)
         lines = [
-            f"{self.method} on {self.source}: {count} of {count + lost} scans labelled in {self.seconds:.1f} s",
+            f"{self.method} on {self.source}: {count} of {count + lost} scans labelled in "
+            f"{self.seconds:.1f} s",
             f"dropped because a newer scan had come: {lost}",
             f"dynamic: {self.dynamic:,} of {self.points:,} points ({share:.1f} %)",
         ]
         if count:
-            quantiles = ", ".join(f"p{percent} {1000 * self.latency(percent):.0f} ms" for percent in QUANTILES)
+            quantiles = ", ".join(
+                f"p{percent} {1000 * self.latency(percent):.0f} ms" for percent in QUANTILES
+            )
             lines.append(f"time per scan: {quantiles}, worst {1000 * max(self.latencies):.0f} ms")
         return "\n".join(lines)
 
@@ -128,8 +132,9 @@ def play(
 ) -> PlayReport:
     """Play scans; their stamps decide when each one comes.
 
-    A scan is dropped if the next one has come before the session is ready for it: like a robot's queue of length one.
-    Time stands still where the source is slower than its sensor, for example a simulation.
+    A scan is dropped if the next one has come before the session is ready for it: like a robot's
+    queue of length one. Time stands still where the source is slower than its sensor, for example a
+    simulation.
 
     Args:
         session: labels the scans.
@@ -147,7 +152,8 @@ def play(
             if report.rate > 0:
                 now = clock.now() - start
                 reading = min(clock.now() - asked, max(now - due, 0.0))
-                start, now = start + reading, now - reading
+                start = start + reading
+                now = now - reading
                 if now >= next_due:
                     report.dropped.append(frame)
                     asked = clock.now()
@@ -163,11 +169,14 @@ def play(
             shown(Played(frame, scan, labels, seconds))
             asked = clock.now()
     finally:
-        report.seconds, report.restarts = clock.now() - first, session.restarts
+        report.seconds = clock.now() - first
+        report.restarts = session.restarts
     return report
 
 
-def _scheduled(scans: Iterable[Scan], rate: float, period: float) -> Iterator[tuple[float, Scan, float]]:
+def _scheduled(
+    scans: Iterable[Scan], rate: float, period: float
+) -> Iterator[tuple[float, Scan, float]]:
     """When each scan comes, the scan, and when the next one comes, in seconds from the first on."""
     times = _Times(period, rate)
     for scan, following in pairwise(chain(scans, [None])):
@@ -180,12 +189,16 @@ class _Times:
     """When scans come: by their stamps, or one period after the one before."""
 
     def __init__(self, period: float, rate: float) -> None:
-        self._period, self._rate = period, rate or 1.0
+        self._period = period
+        self._rate = rate or 1.0
         self._first: int | None = None
         self._last = -period / self._rate
 
     def of(self, scan: Scan) -> float:
-        """Seconds after the first scan at which this one comes; the next call is about a later one."""
+        """Seconds after the first scan at which this one comes.
+
+        The next call is about a later one.
+        """
         self._last = self.peek(scan)
         return self._last
 

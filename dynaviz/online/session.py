@@ -1,4 +1,7 @@
-"""A method that runs live: one scan in, its labels out; a static map, and revised labels of the last scans."""
+"""A method that runs live: one scan in, its labels out.
+
+A static map, and revised labels of the last scans.
+"""
 
 from __future__ import annotations
 
@@ -62,16 +65,23 @@ class Revised:
 class LiveSession:
     """A method that runs live. Make it with ``dynaviz.live``.
 
-    Memory is bounded by the reach: what lies beyond is forgotten, and so are all scans but the last ``keep``.
+    Memory is bounded by the reach: what lies beyond is forgotten, and so are all scans but the last
+    ``keep``.
 
     Attributes:
         settings: as given.
-        restarts: how often the map began anew because the sensor left the range of voxel keys, 32768 voxels.
+        restarts: how often the map began anew because the sensor left the range of voxel keys,
+            32768 voxels.
     """
 
-    def __init__(self, method: Method, sensor: Sensor, settings: Settings, probe: Probe = SILENT) -> None:
-        self.settings, self.restarts = settings, 0
-        self._method, self._sensor, self._probe = method, sensor, probe
+    def __init__(
+        self, method: Method, sensor: Sensor, settings: Settings, probe: Probe = SILENT
+    ) -> None:
+        self.settings = settings
+        self.restarts = 0
+        self._method = method
+        self._sensor = sensor
+        self._probe = probe
         self._near = AtSensor(sensor)
         self._kept: deque[Scan] = deque()
         self._count = 0
@@ -88,24 +98,31 @@ class LiveSession:
         return self._count
 
     def update(
-        self, points: ArrayLike, pose: ArrayLike, stamp: int | None = None, *, points_in: str = "sensor"
+        self,
+        points: ArrayLike,
+        pose: ArrayLike,
+        stamp: int | None = None,
+        *,
+        points_in: str = "sensor",
     ) -> Labels:
         """Learn from the next scan, and label its points by the scans so far, including this one.
 
         Args:
-            points: (N, 3 or more) float, metres; columns after the third are ignored. NaN is allowed.
+            points: (N, 3 or more) float, metres; columns after the third are ignored. NaN is
+                allowed.
             pose: (4, 4) float, metres: T_world_sensor; the world may be far from its origin.
             stamp: nanoseconds, or None.
             points_in: ``sensor`` or ``world``: the frame of the points.
 
         Returns:
-            (N,) bool and (N,) uint8: which points are dynamic, and the reason codes (``info.reasons``). Points beyond
-            the reach are kept.
+            (N,) bool and (N,) uint8: which points are dynamic, and the reason codes
+            (``info.reasons``). Points beyond the reach are kept.
 
         Raises:
             UsageError: for arrays of other shapes, or a pose that is not finite or not rigid.
         """
-        xyz, T = given_points(points, self._count), given_pose(pose, self._count)
+        xyz = given_points(points, self._count)
+        T = given_pose(pose, self._count)
         if points_in not in ("sensor", "world"):
             raise UsageError(f"points_in = {points_in}: give sensor or world")
         if self._origin is None:
@@ -116,7 +133,10 @@ class LiveSession:
         return self._take(Scan(self._count, world, T, stamp))
 
     def add(self, scan: Scan) -> Labels:
-        """As ``update``, with a scan in the world frame; its index must be the number of scans so far."""
+        """As ``update``, with a scan in the world frame.
+
+        Its index must be the number of scans so far.
+        """
         if self._origin is None:
             self._origin = np.zeros(3)
         return self._take(scan.moved(-self._origin) if self._origin.any() else scan)
@@ -134,12 +154,16 @@ class LiveSession:
         return labels
 
     def map(self) -> F32 | F64:
-        """The static map within reach: one point per voxel that was labelled static more often than dynamic.
+        """The static map within reach.
+
+        One point per voxel that was labelled static more often than dynamic.
 
         Returns:
-            (M, 3), metres, world frame, to a 256th of a voxel; float64 if the world's origin is far away.
+            (M, 3), metres, world frame, to a 256th of a voxel; float64 if the world's origin is far
+            away.
         """
-        points, origin = self._map.points(), self._origin
+        points = self._map.points()
+        origin = self._origin
         if origin is None or not origin.any():
             return points
         far: F64 = points + origin
@@ -148,14 +172,25 @@ class LiveSession:
     def revise(self) -> list[Revised]:
         """The labels of the last ``keep`` scans by what is known now, oldest first.
 
-        Later scans show what earlier ones could not: that a car which stood drove off, or that space is empty.
+        Later scans show what earlier ones could not: that a car which stood drove off, or that
+        space is empty.
         """
-        scans, method = list(self._kept), self._method
+        scans = list(self._kept)
+        method = self._method
         seen = [self._near.hidden(scan) for scan in scans]
         shown = [scan for scan, _ in seen]
-        labels = method.relabel(shown) if isinstance(method, Relabels) else [method.label(scan) for scan in shown]
-        labels = [unjudged(each, found, self.info) for each, (_, found) in zip(labels, seen, strict=True)]
-        return [Revised(scan.index, scan.stamp_ns, each) for scan, each in zip(scans, labels, strict=True)]
+        labels = (
+            method.relabel(shown)
+            if isinstance(method, Relabels)
+            else [method.label(scan) for scan in shown]
+        )
+        labels = [
+            unjudged(each, found, self.info) for each, (_, found) in zip(labels, seen, strict=True)
+        ]
+        return [
+            Revised(scan.index, scan.stamp_ns, each)
+            for scan, each in zip(scans, labels, strict=True)
+        ]
 
     def _begin(self) -> None:
         self._window = Window(self.settings.reach)
@@ -173,7 +208,10 @@ class LiveSession:
             self._method.forget(scan.index)
 
     def _restart(self, scan: Scan) -> Scan:
-        """Begin anew with the world's origin at the sensor, and learn the last scans again; returns the moved scan."""
+        """Begin anew with the world's origin at the sensor, and learn the last scans again.
+
+        Returns the moved scan.
+        """
         assert self._origin is not None
         offset = np.round(scan.position)
         self._origin = self._origin + offset
@@ -187,14 +225,18 @@ class LiveSession:
 
 
 def _return_freed_memory() -> None:
-    """Return the memory of the old map to the system: it is part of reference cycles, and glibc keeps small blocks."""
+    """Return the memory of the old map to the system.
+
+    It is part of reference cycles, and glibc keeps small blocks.
+    """
     gc.collect()
     with contextlib.suppress(OSError, AttributeError, TypeError):  # other C libraries
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def warm_up(kind: type[Method], params: Any, sensor: Sensor, settings: Settings) -> None:
-    """Run a method on a small simulated world, so that its kernels are loaded before the first scan.
+    """Run a method on a small simulated world, so that its kernels are loaded before the first
+    scan.
 
     Raises:
         UsageError: if the method needs facts of the sensor that are not known.
@@ -202,7 +244,8 @@ def warm_up(kind: type[Method], params: Any, sensor: Sensor, settings: Settings)
     from dynaviz.testing.world import SENSOR, crossing
 
     LiveSession(kind(params), sensor, settings)  # raises if a fact is missing
-    session = LiveSession(kind(params), SENSOR, settings)  # that of these scans, so that dynamic points are found
+    # that of these scans, so that dynamic points are found
+    session = LiveSession(kind(params), SENSOR, settings)
     for scan in crossing(8):
         session.add(scan.without_truth())
     session.revise()
@@ -210,7 +253,8 @@ def warm_up(kind: type[Method], params: Any, sensor: Sensor, settings: Settings)
 
 
 class StaticMap(BlockGrid):
-    """For each voxel the first static point, and how often points in it were labelled static and dynamic.
+    """For each voxel the first static point, and how often points in it were labelled static and
+    dynamic.
 
     Args:
         window: goes with the sensor.
@@ -220,17 +264,28 @@ class StaticMap(BlockGrid):
     def __init__(self, window: Window, voxel: float) -> None:
         super().__init__(window, voxel)
         n = len(self)
-        self._static, self._dynamic = (self.per_block(np.zeros((n, VOXELS), np.uint16)) for _ in range(2))
-        self._within = self.per_block(np.zeros((n, VOXELS, 3), np.uint8))  # place of the point, 256ths of a voxel
+        self._static, self._dynamic = (
+            self.per_block(np.zeros((n, VOXELS), np.uint16)) for _ in range(2)
+        )
+        # place of the point, 256ths of a voxel
+        self._within = self.per_block(np.zeros((n, VOXELS, 3), np.uint8))
 
     def add(self, scan: Scan, dynamic: Bool) -> None:
         """Add the points of a scan, with their labels (N,)."""
-        points, voxels = kernels.as_readonly(scan.points, np.float32), self.locate(scan.points)
+        points = kernels.as_readonly(scan.points, np.float32)
+        voxels = self.locate(scan.points)
         state = self._static, self._dynamic, self._within
-        kernels.static_map.add(points, voxels, np.ascontiguousarray(dynamic), self._per_metre, *state)
+        kernels.static_map.add(
+            points, voxels, np.ascontiguousarray(dynamic), self._per_metre, *state
+        )
 
     def points(self) -> F32:
-        """(M, 3) float32, metres, world frame: the points of voxels labelled static more often than dynamic."""
+        """(M, 3) float32, metres, world frame.
+
+        The points of voxels labelled static more often than dynamic.
+        """
         state = self._static, self._dynamic, self._within
-        points: F32 = kernels.static_map.points(self.existing(), self._blocks, self.resolution, *state)
+        points: F32 = kernels.static_map.points(
+            self.existing(), self._blocks, self.resolution, *state
+        )
         return points

@@ -69,7 +69,10 @@ class Study:
         from dynaviz.views.read.reader import RunRecording
 
         recording = RunRecording(run.recording)
-        parts = [recording.static(path) for path in (paths.MAP, paths.REMOVED, paths.REMOVED_WRONG, paths.MAP_WRONG)]
+        parts = [
+            recording.static(path)
+            for path in (paths.MAP, paths.REMOVED, paths.REMOVED_WRONG, paths.MAP_WRONG)
+        ]
         drawn = [part for part in parts if "Points3D:positions" in part]
         if not drawn:
             return None
@@ -91,7 +94,8 @@ def report(
         paths: folders that contain results, or ``result.json`` files.
         out: the file to write, or None.
         format: ``html``, ``md``, ``csv`` or another installed format (entry point group
-            ``dynaviz.reports``). Default: the format of the suffix of ``out``, or ``md`` without ``out``.
+            ``dynaviz.reports``). Default: the format of the suffix of ``out``, or ``md`` without
+            ``out``.
         progress: called with a phase, the number of finished steps, and the total number of steps.
 
     Returns:
@@ -119,5 +123,7 @@ def _format(out: str | os.PathLike[str] | None) -> str:
     known = [handle.name for handle in registry.handles("reports")]
     name = SUFFIXES.get(suffix, suffix)
     if name not in known:
-        raise UsageError(f"{os.fspath(out)}: the suffix does not name a format. Give --format {'|'.join(known)}")
+        raise UsageError(
+            f"{os.fspath(out)}: the suffix does not name a format. Give --format {'|'.join(known)}"
+        )
     return name

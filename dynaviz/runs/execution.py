@@ -1,4 +1,7 @@
-"""Run a method, or score what another program wrote: with its files, its recording and, if wanted, on tiles."""
+"""Run a method, or score what another program wrote.
+
+With its files, its recording and, if wanted, on tiles.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,10 @@ from dynaviz.views.record.quota import parse_bytes
 
 @dataclass(frozen=True)
 class Surveyed:
-    """What is found before a run and depends on the sequence only: its summary, and what is likely wrong with it."""
+    """What is found before a run and depends on the sequence only.
+
+    Its summary, and what is likely wrong with it.
+    """
 
     summary: SequenceSummary
     findings: tuple[PoseFinding, ...]
@@ -50,10 +56,13 @@ class Surveyed:
     @classmethod
     def of(cls, sequence: Sequence, progress: Progress = silent) -> Surveyed:
         """Read a sequence, and check its poses on another thread; its findings are warned of."""
-        total, shared = len(sequence), _OneReader(sequence, range(len(sequence)), sequence.sensor, sequence.name)
+        total = len(sequence)
+        shared = _OneReader(sequence, range(len(sequence)), sequence.sensor, sequence.name)
         with ThreadPoolExecutor(1, "poses") as pool:
             findings = pool.submit(_pose_findings, shared)
-            summary = summarize(shared, lambda done: progress("survey", done, total), PoseNoiseMeter(total))
+            summary = summarize(
+                shared, lambda done: progress("survey", done, total), PoseNoiseMeter(total)
+            )
         return cls(summary, _warned(sequence, findings.result(), 6))
 
 
@@ -79,7 +88,9 @@ def run_method(
     command: str = "",
     progress: Progress = silent,
 ) -> Result:
-    """Run a method on a sequence, score it, and write its files; ``dynaviz.run`` describes what it raises.
+    """Run a method on a sequence, score it, and write its files.
+
+    ``dynaviz.run`` describes what it raises.
 
     Args:
         method: its name.
@@ -92,15 +103,21 @@ def run_method(
         progress: called with a phase, the number of frames or tiles done and their total.
     """
     kind, resolved = options.resolved(method)
-    given, sequence = sequence, suited(kind, resolved.params, sequence)  # before frames are read to check poses
+    # before frames are read to check poses
+    given = sequence
+    sequence = suited(kind, resolved.params, sequence)
     known: tuple[PoseFinding, ...] = survey.findings if survey else ()
-    if survey is None and (refine_poses or options.tile_size is not None):  # the frames of the run are surveyed later
+    if survey is None and (
+        refine_poses or options.tile_size is not None
+    ):  # the frames of the run are surveyed later
         known = _warned(given, _pose_findings(given), 4)
     if refine_poses:
         sequence = refined(sequence, out, progress)
     recording, mode = recording_of(options.record, out)
     if options.view and recording is None:
-        raise UsageError("view needs a recording: give out=FOLDER or record=FILE.rrd, and not record=none")
+        raise UsageError(
+            "view needs a recording: give out=FOLDER or record=FILE.rrd, and not record=none"
+        )
     spec = RunSpec(
         labeller=kind(resolved.params),
         sequence=sequence,
@@ -127,7 +144,9 @@ def run_method(
         raise UsageError("workers and scheduler run tiles: give tiles=METRES, too")
     else:
         late = None if survey or refine_poses else partial(Surveyed.of, given, progress)
-        result = run_spec(spec, progress, view=options.view, maps=options.maps, budget=budget, survey=late)
+        result = run_spec(
+            spec, progress, view=options.view, maps=options.maps, budget=budget, survey=late
+        )
     _warn_of_size(recording, result, budget)
     return result
 
@@ -145,7 +164,9 @@ def score_external(
     """Score what another program wrote; ``dynaviz.score`` describes the arguments and errors."""
     recording, mode = recording_of(record, out)
     if out is not None and out.resolve() in _overwritten(external.path):
-        raise UsageError(f"the files of the run would overwrite {external.path}: give another folder than {out}")
+        raise UsageError(
+            f"the files of the run would overwrite {external.path}: give another folder than {out}"
+        )
     spec = RunSpec(
         labeller=external,
         sequence=sequence,
@@ -172,7 +193,9 @@ def budget_of(options: RunOptions) -> int | None:
     return parse_bytes(budget) if isinstance(budget, str) else budget
 
 
-def recording_of(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, RecordMode | None]:
+def recording_of(
+    record: str | os.PathLike[str], folder: Path | None
+) -> tuple[Path | None, RecordMode | None]:
     """Path and mode of the recording; None for no recording.
 
     Raises:
@@ -181,8 +204,14 @@ def recording_of(record: str | os.PathLike[str], folder: Path | None) -> tuple[P
     if Path(record).suffix == ".rrd":
         return Path(record), "errors"
     if record not in get_args(Record):
-        raise UsageError(f"record = {record}: give {', '.join(get_args(Record))}, or the path of an .rrd file")
-    return (None, None) if folder is None or record == "none" else (folder / "run.rrd", cast(RecordMode, record))
+        raise UsageError(
+            f"record = {record}: give {', '.join(get_args(Record))}, or the path of an .rrd file"
+        )
+    return (
+        (None, None)
+        if folder is None or record == "none"
+        else (folder / "run.rrd", cast(RecordMode, record))
+    )
 
 
 def run_spec(
@@ -228,7 +257,8 @@ def _run(
     more: Callable[[], Mapping[str, Any]],
 ) -> Result:
     """Run in a locked folder; the other listeners are notified first."""
-    folder, recorder = spec.folder, None
+    folder = spec.folder
+    recorder = None
     probe: Probe = SILENT
     with contextlib.ExitStack() as files:
         listeners: list[Listener] = [*others]
@@ -243,7 +273,8 @@ def _run(
             mode = spec.record or "errors"
             recorder = files.enter_context(Recorder(spec.recording, mode, live=view, budget=budget))
             listeners.append(recorder)
-            probe = SILENT if mode == "scores" else recorder  # it shows no states, so the runtime stays honest
+            # it shows no states, so the runtime stays honest
+            probe = SILENT if mode == "scores" else recorder
         listeners.append(_Forgetting())
         result = execute(spec, listeners, probe, progress, more)
     if recorder is not None:
@@ -254,10 +285,14 @@ def _run(
 
 
 class _Forgetting(Listener):
-    """Lets the method forget the sequence after the last label: its memory is free for the metrics and the files."""
+    """Lets the method forget the sequence after the last label.
+
+    Its memory is free for the metrics and the files.
+    """
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
-        self._run, self._last = run, summary.frames - 1
+        self._run = run
+        self._last = summary.frames - 1
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         if labelled.frame == self._last and self._run.method:
@@ -270,7 +305,8 @@ def _run_tiles(spec: RunSpec, options: TileOptions, maps: bool, progress: Progre
     if folder is None:
         raise UsageError("tiles need out=FOLDER, which keeps the answers of finished tiles")
     drawn = spec.record not in (None, "scores")
-    share = options.budget and options.budget // 2  # of the recordings of tiles, and of that of the whole run
+    # of the recordings of tiles, and of that of the whole run
+    share = options.budget and options.budget // 2
     with _locked(spec):
         labeller = label_tiles(
             folder,
@@ -283,7 +319,8 @@ def _run_tiles(spec: RunSpec, options: TileOptions, maps: bool, progress: Progre
             record=spec.record if drawn else None,
             progress=progress,
         )
-        whole, counts = replace(spec, labeller=labeller, summary=labeller.summary), TileCounts(options.size)
+        whole = replace(spec, labeller=labeller, summary=labeller.summary)
+        counts = TileCounts(options.size)
         others: list[Listener] = [counts]
         if drawn:
             from dynaviz.views.record.overview import Overview
@@ -299,23 +336,32 @@ def _run_tiles(spec: RunSpec, options: TileOptions, maps: bool, progress: Progre
 
 def _overwritten(path: Path) -> list[Path]:
     """Folders in which the files of a run would overwrite, or mix with, this file or folder."""
-    return [path.resolve()] if path.is_dir() else [path.resolve().parent] if path.name in FILES else []
+    return (
+        [path.resolve()] if path.is_dir() else [path.resolve().parent] if path.name in FILES else []
+    )
 
 
 def _pose_findings(sequence: Sequence) -> tuple[PoseFinding, ...]:
     """What is likely wrong with poses or points.
 
-    The frames and units of data sets with ground truth are taken to be right; their poses may drift.
+    The frames and units of data sets with ground truth are taken to be right; their poses may
+    drift.
     """
     from dynaviz.diagnosis import DRIFT, quick_check
 
-    return tuple(each for each in quick_check(sequence) if each.name == DRIFT or not sequence.has_labels)
+    return tuple(
+        each for each in quick_check(sequence) if each.name == DRIFT or not sequence.has_labels
+    )
 
 
-def _warned(sequence: Sequence, findings: tuple[PoseFinding, ...], level: int) -> tuple[PoseFinding, ...]:
+def _warned(
+    sequence: Sequence, findings: tuple[PoseFinding, ...], level: int
+) -> tuple[PoseFinding, ...]:
     """The findings, with a warning each at a level of the stack."""
     for each in findings:
-        warnings.warn(f"{sequence.name}: {each}. 'dynaviz doctor' examines all frames", stacklevel=level)
+        warnings.warn(
+            f"{sequence.name}: {each}. 'dynaviz doctor' examines all frames", stacklevel=level
+        )
     return findings
 
 
@@ -326,9 +372,14 @@ def _warn_of_size(recording: Path | None, result: Result, budget: int | None) ->
     paths = [recording]
     if tiling := result.sections.tiling:
         folders = [f"tiles/{tile.column}_{tile.row}" for tile in tiling.tile]
-        paths += [recording.parent / name for name in ("overview.rrd", *(f"{folder}/run.rrd" for folder in folders))]
+        paths += [
+            recording.parent / name
+            for name in ("overview.rrd", *(f"{folder}/run.rrd" for folder in folders))
+        ]
     sizes = [path.stat().st_size for path in paths if path.is_file()]
     if sum(sizes) > budget:
         files = "the recording has" if len(sizes) == 1 else f"{len(sizes)} recordings have"
-        problem = f"{files} {sum(sizes) / 1e6:.1f} MB, more than the budget of {budget / 1e6:.1f} MB"
+        problem = (
+            f"{files} {sum(sizes) / 1e6:.1f} MB, more than the budget of {budget / 1e6:.1f} MB"
+        )
         warnings.warn(f"{problem}: labels, maps and cases are always recorded", stacklevel=4)

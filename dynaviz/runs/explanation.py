@@ -34,7 +34,8 @@ class Why:
         sequence: name of the sequence.
         online: whether labels were decided right after each scan.
         ledger: the scans that touched the point, what each contributed, and the rules that decided.
-        cause: of the failure case that contains the point; None if no listed case does, or the label is right.
+        cause: of the failure case that contains the point; None if no listed case does, or the
+            label is right.
         note: what the ledger cannot show; empty if nothing.
     """
 
@@ -50,11 +51,15 @@ class Why:
     def sentence(self) -> str:
         """Truth, label and reason in a sentence."""
         found = self.ledger
-        return sentence(found.truth, "removed" if found.removed else "kept", found.reason, self.cause)
+        return sentence(
+            found.truth, "removed" if found.removed else "kept", found.reason, self.cause
+        )
 
     @property
     def evidence(self) -> str:
-        """The rays that touched the cell around the point, what decided, and what would change the label."""
+        """The rays that touched the cell around the point, what decided, and what would change the
+        label.
+        """
         return f"{evidence_of([self.ledger]).text} {flip(self.ledger)}".strip()
 
     def to_dict(self) -> dict[str, Any]:
@@ -78,7 +83,8 @@ def sentence(truth: str | None, answer: str, reason: Reason, cause: str | None) 
 
     Args:
         truth: ``static``, ``dynamic`` or None.
-        answer: ``removed`` or ``kept``; without ground truth also what the point did, as ``appeared``.
+        answer: ``removed`` or ``kept``; without ground truth also what the point did, as
+            ``appeared``.
         reason: why it got the label.
         cause: of the failure case that contains it, if any.
     """
@@ -99,21 +105,27 @@ def why(
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Why:
-    """Explain the label of a point: every scan whose rays touched it, what each contributed, and the verdict.
+    """Explain the label of a point.
+
+    Every scan whose rays touched it, what each contributed, and the verdict.
 
     The run is repeated to ask the method after each scan, so this takes as long as the run.
 
     Args:
-        run: a run's folder, ``result.json`` or ``run.rrd``; or a result, also of a run on arrays in this process.
+        run: a run's folder, ``result.json`` or ``run.rrd``; or a result, also of a run on arrays in
+            this process.
         frame: position in the run, as in the recording and in failure cases.
         point: row in the scan of that frame.
-        sequence: the run's sequence, open or as a path, if the data moved. A path is opened as the run opened it.
+        sequence: the run's sequence, open or as a path, if the data moved. A path is opened as the
+            run opened it.
         threads: for kernels; None for all cores.
         progress: called with a phase, the number of frames done and their total.
 
     Raises:
-        UsageError: for a frame or point that does not exist, an unknown method, or a run without a known sequence.
-        DataError: for files that cannot be read, a different sequence, or if the replay gives different labels.
+        UsageError: for a frame or point that does not exist, an unknown method, or a run without a
+            known sequence.
+        DataError: for files that cannot be read, a different sequence, or if the replay gives
+            different labels.
     """
     found = explain(run, {frame: [point]}, sequence=sequence, threads=threads, progress=progress)
     return found[frame][0]
@@ -142,22 +154,29 @@ def explain(
     opened = run if isinstance(run, Run) else open_run(run)
     ledger = Ledger(points)
     spec = opened.replay([ledger], at=sequence, threads=threads, progress=progress)
-    info, note = spec.labeller.info, ""
+    info = spec.labeller.info
+    note = ""
     if spec.method is None:
-        note = "The labels come from another program, so there is no ledger: only the rays are known."
+        note = (
+            "The labels come from another program, so there is no ledger: only the rays are known."
+        )
     elif not isinstance(spec.method, Explains):
         note = f"{info.name} states no evidence, so there is no ledger: only the rays are known."
     facts = opened.result.method, info.title, spec.sequence.name, opened.result.online
     return {
         frame: tuple(
-            Why(*facts, each, cause_at(opened.result, each), note) for each in (_stored(opened, e) for e in found)
+            Why(*facts, each, cause_at(opened.result, each), note)
+            for each in (_stored(opened, e) for e in found)
         )
         for frame, found in ledger.ledgers.items()
     }
 
 
 def cause_at(result: Result, ledger: PointLedger) -> str | None:
-    """The cause of the failure case that contains a point; None if no listed case does, or the label is right."""
+    """The cause of the failure case that contains a point.
+
+    None if no listed case does, or the label is right.
+    """
     if not ledger.wrong:
         return None
     if ledger.case is not None:
@@ -168,13 +187,18 @@ def cause_at(result: Result, ledger: PointLedger) -> str | None:
 
 
 def _stored(run: Run, ledger: PointLedger) -> PointLedger:
-    """The ledger with the number of the case, if the recording of the run stores that: the boxes of cases overlap."""
+    """The ledger with the number of the case, if the recording of the run stores that.
+
+    The boxes of cases overlap.
+    """
     try:
         recording = run.recording
     except (DataError, UsageError):  # not recorded
         return ledger
     for number, case in enumerate(run.result.failures, 1):
-        if case.worst_frame == ledger.frame and any(each.point == ledger.point for each in recording.ledgers(number)):
+        if case.worst_frame == ledger.frame and any(
+            each.point == ledger.point for each in recording.ledgers(number)
+        ):
             return dataclasses.replace(ledger, case=number)
     return ledger
 

@@ -14,7 +14,9 @@ from dynaviz.runs.run import open_run
 from dynaviz.sources.opening import Source
 from dynaviz.sources.summary import summarize
 
-STATIC, MOVING = 9, 251  # classes of SemanticKITTI's moving object segmentation task
+# classes of SemanticKITTI's moving object segmentation task
+STATIC = 9
+MOVING = 251
 
 
 def export_labels(
@@ -23,7 +25,9 @@ def export_labels(
     sequence: Source | None = None,
     progress: Progress = silent,
 ) -> tuple[int, int]:
-    """Write ``NNNNNN.label`` for each frame: a uint32 per point, 9 if the point was kept and 251 if removed.
+    """Write ``NNNNNN.label`` for each frame.
+
+    A uint32 per point, 9 if the point was kept and 251 if removed.
 
     Args:
         run: folder of a run, its ``result.json`` or ``run.rrd``.
@@ -35,20 +39,23 @@ def export_labels(
         Numbers of frames and of removed points.
 
     Raises:
-        DataError: if the labels cannot be read or belong to a different sequence, or ``out`` exists or cannot be
-            written.
+        DataError: if the labels cannot be read or belong to a different sequence, or ``out`` exists
+            or cannot be written.
         UsageError: if the run does not state where its sequence came from.
     """
-    saved, removed = open_run(run), 0
+    saved = open_run(run)
+    removed = 0
     with atomic_folder(out) as folder:
-        labels, opened = saved.labeller, saved.sequence(sequence)
+        labels = saved.labeller
+        opened = saved.sequence(sequence)
         total = len(opened)
         summary = summarize(opened, lambda done: progress("checking", done, total))
         labels.check(opened.name, summary)
         for done, scan in enumerate(stream(opened), 1):
             dynamic = labels.label(scan).dynamic
             write_semantic_labels(
-                folder / f"{scan.index:06d}.label", np.where(dynamic, MOVING, STATIC).astype(np.uint16)
+                folder / f"{scan.index:06d}.label",
+                np.where(dynamic, MOVING, STATIC).astype(np.uint16),
             )
             removed += int(dynamic.sum())
             progress("writing", done, total)

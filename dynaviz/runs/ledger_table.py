@@ -63,7 +63,8 @@ def _entries(ledger: PointLedger) -> Table:
 
 def _turns(ledger: PointLedger) -> dict[int, str]:
     """The frames after which the verdict changed, and the verdict from then on."""
-    turns, before = {}, None
+    turns = {}
+    before = None
     for entry in ledger.entries:
         if entry.removed is not None and entry.removed != before:
             turns[entry.frame] = "removed" if entry.removed else "kept"
@@ -72,7 +73,9 @@ def _turns(ledger: PointLedger) -> dict[int, str]:
 
 
 def _deciding(ledger: PointLedger, turns: Collection[int]) -> list[LedgerEntry]:
-    """At most ``ROWS`` entries by frame: the point's own, those that turned the verdict, then by their contribution.
+    """At most ``ROWS`` entries by frame.
+
+    The point's own, those that turned the verdict, then by their contribution.
 
     Entries without any contribution are left out.
     """
@@ -83,7 +86,13 @@ def _deciding(ledger: PointLedger, turns: Collection[int]) -> list[LedgerEntry]:
         decides = entry.frame == ledger.frame or entry.frame in turns
         change = max((abs(value) for value in entry.changes.values()), default=0.0)
         read = any(entry.values.get(name) is not None for name in readings)
-        return decides, not lasting.isdisjoint(entry.holds), change, read, entry.hits + entry.crossed
+        return (
+            decides,
+            not lasting.isdisjoint(entry.holds),
+            change,
+            read,
+            entry.hits + entry.crossed,
+        )
 
     ranked = sorted(ledger.entries, key=weight, reverse=True)
     if ledger.rules:
@@ -94,12 +103,19 @@ def _deciding(ledger: PointLedger, turns: Collection[int]) -> list[LedgerEntry]:
 def _rest(ledger: PointLedger, shown: Collection[int]) -> str | None:
     """A line on the entries that are not shown."""
     rest = [entry for entry in ledger.entries if entry.frame not in shown]
-    hits, crossed = (sum(getattr(entry, name) > 0 for entry in rest) for name in ("hits", "crossed"))
-    return f"{len(rest):,} more scans ({hits:,} hit it, {crossed:,} crossed it); --json lists all." if rest else None
+    hits, crossed = (
+        sum(getattr(entry, name) > 0 for entry in rest) for name in ("hits", "crossed")
+    )
+    return (
+        f"{len(rest):,} more scans ({hits:,} hit it, {crossed:,} crossed it); --json lists all."
+        if rest
+        else None
+    )
 
 
 def _cell(entry: LedgerEntry, quantity: QuantityInfo) -> str:
-    value, change = entry.values.get(quantity.name), entry.changes.get(quantity.name)
+    value = entry.values.get(quantity.name)
+    change = entry.changes.get(quantity.name)
     if value is None:
         return ""
     if quantity.legend:
@@ -116,7 +132,9 @@ def _rules(ledger: PointLedger) -> Table:
     table.add_column(overflow="fold")
     for rule in ledger.rules:
         table.add_row(
-            "yes" if rule.holds else "no ", Text(", ".join(_words(rule))), style=None if rule.holds else "dim"
+            "yes" if rule.holds else "no ",
+            Text(", ".join(_words(rule))),
+            style=None if rule.holds else "dim",
         )
     return table
 
@@ -137,10 +155,16 @@ def _term(term: TermValue) -> str:
     if term.value is None:
         return f"{term.name} unknown (fails)"
     digits = next((n for n in (3, 6) if f"{term.value:.{n}f}" != f"{term.threshold:.{n}f}"), 3)
-    unit, failed = f" {term.unit}" if term.unit else "", "" if term.holds else " (fails)"
-    return f"{term.name} {_number(term.value, digits)} {term.test} {_number(term.threshold, digits)}{unit}{failed}"
+    unit = f" {term.unit}" if term.unit else ""
+    failed = "" if term.holds else " (fails)"
+    return (
+        f"{term.name} {_number(term.value, digits)} {term.test} "
+        f"{_number(term.threshold, digits)}{unit}{failed}"
+    )
 
 
 def _number(value: float, digits: int = 3) -> str:
     """Whole numbers without a point."""
-    return f"{value:,.0f}" if math.isfinite(value) and value == int(value) else f"{value:.{digits}f}"
+    return (
+        f"{value:,.0f}" if math.isfinite(value) and value == int(value) else f"{value:.{digits}f}"
+    )

@@ -27,7 +27,10 @@ class MethodKeywords(TypedDict, total=False):
 
 
 class RunKeywords(MethodKeywords, total=False):
-    """The keyword arguments of Python functions that run a method on a sequence; see ``RunOptions``."""
+    """The keyword arguments of Python functions that run a method on a sequence.
+
+    See ``RunOptions``.
+    """
 
     online: bool | None
     variant: str
@@ -49,8 +52,8 @@ class MethodOptions:
     """With which parameters a method starts.
 
     Attributes:
-        preset, config, settings: layers of parameters (``dynaviz.contracts.params.resolve``); settings may be a
-            dictionary.
+        preset, config, settings: layers of parameters (``dynaviz.contracts.params.resolve``);
+            settings may be a dictionary.
         seed: for all randomness in the method.
         threads: for kernels; None for all cores.
     """
@@ -77,18 +80,21 @@ class MethodOptions:
 
 @dataclass(frozen=True)
 class RunOptions(MethodOptions):
-    """How a method runs on a sequence. Every verb that runs one takes all of these, under the same names.
+    """How a method runs on a sequence.
+
+    Every verb that runs one takes all of these, under the same names.
 
     Attributes:
         online: label each scan right after it was observed, instead of after all scans.
         variant: a short name for the parameter set, for tables.
-        record: how much the recording ``run.rrd`` contains (``recordings/README.md``); or the path of an ``.rrd`` file,
-            which records in the mode ``errors``, with or without a folder.
-        record_budget: size of the recordings together, bytes or text such as ``2GB``: states are left out first, then
-            drawn points; the labels of all points are always recorded. None for any size.
+        record: how much the recording ``run.rrd`` contains (``recordings/README.md``); or the path
+            of an ``.rrd`` file, which records in the mode ``errors``, with or without a folder.
+        record_budget: size of the recordings together, bytes or text such as ``2GB``: states are
+            left out first, then drawn points; the labels of all points are always recorded. None
+            for any size.
         view: show the run in a viewer while it is running.
-        tiles: edge of the squares into which the map is divided, metres; None runs it as a whole. Needs a folder. An
-            interrupted run continues with the tiles that are missing.
+        tiles: edge of the squares into which the map is divided, metres; None runs it as a whole.
+            Needs a folder. An interrupted run continues with the tiles that are missing.
         workers: number of tiles that run at a time, each in its own process.
         scheduler: address of a Dask scheduler whose workers run the tiles instead.
         maps: write ``static_map.pcd`` and ``dynamic_points.pcd``.
@@ -114,7 +120,9 @@ class RunOptions(MethodOptions):
         try:
             return None if self.tiles is None else float(self.tiles)
         except ValueError:
-            raise UsageError(f"--tiles {self.tiles}: give metres, from 10 to 1000; or autoware, for clean") from None
+            raise UsageError(
+                f"--tiles {self.tiles}: give metres, from 10 to 1000; or autoware, for clean"
+            ) from None
 
 
 def split(options: Mapping[str, Any]) -> tuple[SequenceOptions, RunOptions]:

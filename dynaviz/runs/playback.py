@@ -49,7 +49,8 @@ def play_live(
         out: folder of the rolling recording; None for none.
         minutes: how much of the past that recording keeps.
         progress: called with the number of scans so far.
-        announce: called with the address of the page, and with the report if playing is interrupted.
+        announce: called with the address of the page, and with the report if playing is
+            interrupted.
         finished: called with the report after the last scan, while the page is still served.
 
     Raises:
@@ -57,7 +58,9 @@ def play_live(
         DataError: for data that cannot be read, or a folder that cannot be written.
     """
     if not 0 <= rate < float("inf"):
-        raise UsageError(f"rate = {rate}: give a number of at least 0; 0 plays every scan as fast as possible")
+        raise UsageError(
+            f"rate = {rate}: give a number of at least 0; 0 plays every scan as fast as possible"
+        )
     if not 0 < minutes < float("inf"):
         raise UsageError(f"minutes = {minutes}: give a number above 0")
     if port is not None and not serve:
@@ -67,7 +70,9 @@ def play_live(
     if reason := why_not_live(kind):
         raise UsageError(f"{method} cannot run live: {reason}")
     sequence = suited(kind, resolved.params, sequence)
-    settings = Settings(reach, 20 if kind.info.needs_map else 0, seed=options.seed or resolved.seed or 0)
+    settings = Settings(
+        reach, 20 if kind.info.needs_map else 0, seed=options.seed or resolved.seed or 0
+    )
     period = 1 / sequence.sensor.rate if sequence.sensor.rate else PERIOD
     kernels.set_threads(options.threads)
     warm_up(kind, resolved.params, sequence.sensor, settings)
@@ -79,7 +84,9 @@ def play_live(
             from dynaviz.views.read.view import serving
 
             if view and not viewer.has_screen():
-                raise UsageError("--view: there is no screen to open a viewer on. Use --serve for a browser")
+                raise UsageError(
+                    "--view: there is no screen to open a viewer on. Use --serve for a browser"
+                )
             inlet = viewer.open_window() if view else None
             if serve:
                 inlet, lines, _ = stack.enter_context(serving(port))

@@ -1,4 +1,6 @@
-"""Corrections of ground truth, kept next to a run and never written into its sequence, and the scores with them."""
+"""Corrections of ground truth, kept next to a run and never written into its sequence, and the
+scores with them.
+"""
 
 from __future__ import annotations
 
@@ -76,13 +78,22 @@ class Corrections(Struct, frozen=True):
     schema: int = SCHEMA
 
     def corrected(self, position: int, scan: Scan) -> Scan:
-        """The scan at a position of the run, with the corrected ground truth. Unlabelled points stay unlabelled."""
-        boxes = [(each.truth, box) for each in self.corrections for box in each.boxes if box.frame == position]
+        """The scan at a position of the run, with the corrected ground truth.
+
+        Unlabelled points stay unlabelled.
+        """
+        boxes = [
+            (each.truth, box)
+            for each in self.corrections
+            for box in each.boxes
+            if box.frame == position
+        ]
         if scan.labels is None or not boxes:
             return scan
         labels = scan.labels.copy()
         for truth, box in boxes:
-            low, high = np.array(box.low) - MARGIN, np.array(box.high) + MARGIN
+            low = np.array(box.low) - MARGIN
+            high = np.array(box.high) + MARGIN
             inside = ((scan.points >= low) & (scan.points <= high)).all(1)
             labels[inside & (labels != Label.UNLABELLED)] = LABELS[truth]
         return dataclasses.replace(scan, labels=labels)
@@ -105,7 +116,10 @@ class CorrectedScores:
 
     def __str__(self) -> str:
         def change(name: str) -> str:
-            values = ("n/a" if each[name] is None else f"{each[name]:.2f}" for each in (self.before, self.after))
+            values = (
+                "n/a" if each[name] is None else f"{each[name]:.2f}"
+                for each in (self.before, self.after)
+            )
             return f"{name} {' -> '.join(values)}"
 
         scores = ", ".join(map(change, ("AA", "SA", "DA")))
@@ -121,7 +135,8 @@ def read_corrections(run: Path, sequence: str) -> Corrections:
         sequence: digest of the run's sequence.
 
     Raises:
-        DataError: if the file cannot be read, was written by a newer dynaviz, or is for a different sequence.
+        DataError: if the file cannot be read, was written by a newer dynaviz, or is for a different
+            sequence.
     """
     path = run / FILE
     if not path.is_file():
@@ -157,7 +172,9 @@ def correct(run: Path, sequence: str, case: int, correction: Correction | None) 
 def rescore(
     run: str | os.PathLike[str], sequence: Source | None = None, progress: Progress = silent
 ) -> CorrectedScores:
-    """Score the stored labels of a run with its corrected ground truth. The run's files stay as they are.
+    """Score the stored labels of a run with its corrected ground truth.
+
+    The run's files stay as they are.
 
     Args:
         run: its folder, ``result.json`` or ``run.rrd``.
@@ -169,7 +186,8 @@ def rescore(
         UsageError: without ground truth, or if the run does not state where its sequence came from.
     """
     saved = open_run(run)
-    result, folder = saved.result, saved.file("labels.npz").parent
+    result = saved.result
+    folder = saved.file("labels.npz").parent
     if not result.has_truth:
         raise UsageError(f"{saved.path}: the run has no ground truth to correct")
     corrections = read_corrections(folder, result.sequence.digest)

@@ -1,4 +1,7 @@
-"""The only place that opens a run: its result, labels and recording, its sequence, and the run again."""
+"""The only place that opens a run.
+
+Its result, labels and recording, its sequence, and the run again.
+"""
 
 from __future__ import annotations
 
@@ -37,12 +40,15 @@ class Run:
 
     Attributes:
         result: what it found.
-        path: the file that the result was read from; ``result.json`` without a folder for a run in this process.
+        path: the file that the result was read from; ``result.json`` without a folder for a run in
+            this process.
         folder: with its files; None for a run in this process that wrote none.
     """
 
     def __init__(self, result: Result, path: Path, folder: Path | None) -> None:
-        self.result, self.path, self.folder = result, path, folder
+        self.result = result
+        self.path = path
+        self.folder = folder
 
     def file(self, name: str) -> Path:
         """One of its files.
@@ -69,9 +75,13 @@ class Run:
         if self.path.suffix == ".rrd":
             return self.path
         if self.folder is None:
-            raise UsageError("the run was not recorded. Give out=FOLDER or record=FILE.rrd to dynaviz.run")
+            raise UsageError(
+                "the run was not recorded. Give out=FOLDER or record=FILE.rrd to dynaviz.run"
+            )
         if not (path := self.folder / "run.rrd").is_file():
-            raise DataError(path, "does not exist", hint="Give a run that was recorded, without --record none")
+            raise DataError(
+                path, "does not exist", hint="Give a run that was recorded, without --record none"
+            )
         return path
 
     @cached_property
@@ -89,44 +99,63 @@ class Run:
             DataError: if ``labels.npz`` is missing or damaged.
         """
         answers = self.result.answers
-        return answers.labels if isinstance(answers, RunAnswers) else RunLabels.load(self.file("labels.npz"))
+        return (
+            answers.labels
+            if isinstance(answers, RunAnswers)
+            else RunLabels.load(self.file("labels.npz"))
+        )
 
     @property
     def labeller(self) -> PrecomputedLabels:
-        """Its stored labels as a labeller, which knows their reasons and the frames that they are for."""
+        """Its stored labels as a labeller, which knows their reasons and the frames that they are
+        for.
+        """
         return PrecomputedLabels(self.file("labels.npz"), self.result.method)
 
     def sequence(self, at: Source | None = None, progress: Progress = silent) -> Sequence:
         """The frames of the run with its poses and sensor, bit for bit.
 
         Args:
-            at: an open sequence, or the path of the data if they moved; None for where the run found them.
+            at: an open sequence, or the path of the data if they moved; None for where the run
+                found them.
             progress: called while poses are refined again, because their file is missing.
 
         Raises:
             UsageError: for a run of data in memory, or of an earlier version, without ``at``.
             DataError: for data that cannot be read.
         """
-        origin, answers = self.result.origin, self.result.answers
+        origin = self.result.origin
+        answers = self.result.answers
         found = answers.sequence if at is None and isinstance(answers, RunAnswers) else at
         if isinstance(found, Sequence):
             return found
         if origin is None:
             if at is None:
-                raise UsageError(f"{self.path}: the run does not state where its sequence came from. {ELSEWHERE}")
+                raise UsageError(
+                    f"{self.path}: the run does not state where its sequence came from. {ELSEWHERE}"
+                )
             return open_source(at, SequenceOptions())
         if at is None and not origin.sources:
-            problem = "the run was made from data in memory, which only the process that made it can open again"
-            raise UsageError(f"{self.path}: {problem}: call dynaviz.explore(result) there. {ELSEWHERE}")
+            problem = (
+                "the run was made from data in memory, which only the process that made it can "
+                "open again"
+            )
+            raise UsageError(
+                f"{self.path}: {problem}: call dynaviz.explore(result) there. {ELSEWHERE}"
+            )
         try:
-            return reopened(origin, self.folder, at if isinstance(at, str | os.PathLike) else None, progress)
+            return reopened(
+                origin, self.folder, at if isinstance(at, str | os.PathLike) else None, progress
+            )
         except DataError as error:
             if at is not None:
                 raise
             raise DataError(error.path, error.problem, at=error.at, hint=ELSEWHERE) from None
 
     def spec(self, sequence: Sequence, threads: int | None = None) -> RunSpec:
-        """The run again, on its sequence, without metrics; labels of another program are read from the run's files.
+        """The run again, on its sequence, without metrics.
+
+        Labels of another program are read from the run's files.
 
         Raises:
             UsageError: for a method that is not installed, or has other parameters by now.
@@ -138,7 +167,9 @@ class Run:
         kind = registry.load("methods", result.method)
         parameters = self.parameters(kind)
         sequence = suited(kind, parameters, sequence)
-        return RunSpec(kind(parameters), sequence, parameters, (), result.online, result.seed, threads=threads)
+        return RunSpec(
+            kind(parameters), sequence, parameters, (), result.online, result.seed, threads=threads
+        )
 
     def parameters(self, kind: type[Any]) -> Any:
         """Its parameters, as an instance of the method's ``Params``.
@@ -150,7 +181,9 @@ class Run:
             return msgspec.convert(self.result.parameters, kind.Params)
         except (msgspec.ValidationError, ValueError) as error:
             name = self.result.method
-            raise UsageError(f"{self.path}: {name} has other parameters than the run: {error}. Run it again") from None
+            raise UsageError(
+                f"{self.path}: {name} has other parameters than the run: {error}. Run it again"
+            ) from None
 
     def replay(
         self,
@@ -185,7 +218,10 @@ class Run:
         """Why a replay may give other labels."""
         now, then = _code(self.result)
         if then and now and now != then:
-            return f"was made by other code of {self.result.method}, whose labels this version does not reproduce"
+            return (
+                f"was made by other code of {self.result.method}, whose labels this version does "
+                "not reproduce"
+            )
         version = self.result.environment.versions.get("dynaviz", "of another version")
         return f"was written by dynaviz {version}, whose labels this version does not reproduce"
 
@@ -210,16 +246,24 @@ def open_run(run: str | os.PathLike[str] | Result) -> Run:
         return Run(run, Path("result.json") if folder is None else folder / "result.json", folder)
     path = Path(run)
     if path.is_dir():
-        path = next((path / name for name in ("result.json", "run.rrd") if (path / name).is_file()), path)
+        path = next(
+            (path / name for name in ("result.json", "run.rrd") if (path / name).is_file()), path
+        )
         if path.is_dir():
-            raise DataError(path, "contains no result.json and no run.rrd", hint="Give the folder of a finished run")
+            raise DataError(
+                path,
+                "contains no result.json and no run.rrd",
+                hint="Give the folder of a finished run",
+            )
     if path.suffix != ".rrd":
         return Run(Result.load(path), path, path.parent)
     from dynaviz.views.read.reader import RunRecording
 
     recording = RunRecording(path)
     if recording.result is None:
-        raise DataError(path, "is the recording of a run that did not finish", hint="Run the method again")
+        raise DataError(
+            path, "is the recording of a run that did not finish", hint="Run the method again"
+        )
     found = Run(recording.result, path, path.parent)
     found.__dict__["recording"] = recording
     return found
@@ -234,5 +278,8 @@ class _SameData(Listener):
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Compare digests."""
         if self._run.result.sequence.digest not in ("", summary.digest):
-            problem = f"is from a different sequence than the {summary.frames:,} frames of {run.sequence.name}"
+            problem = (
+                f"is from a different sequence than the {summary.frames:,} frames of "
+                f"{run.sequence.name}"
+            )
             raise DataError(self._run.path, problem, hint=ELSEWHERE)

@@ -6,7 +6,9 @@ from msgspec import Struct
 
 
 class PointAccount(Struct, frozen=True):
-    """Where the points of a sequence went when a map was written. Each point counts once, so ``points`` is the sum.
+    """Where the points of a sequence went when a map was written.
+
+    Each point counts once, so ``points`` is the sum.
 
     Attributes:
         points: all of the selected frames, and those that no pose covers.
@@ -34,7 +36,8 @@ class PointAccount(Struct, frozen=True):
         return 100.0 * self.removed / judged if judged else None
 
     def __str__(self) -> str:
-        unposed, kept = self.unposed_kept + self.unposed_left_out, self.unposed_kept
+        unposed = self.unposed_kept + self.unposed_left_out
+        kept = self.unposed_kept
         fate = (
             ""
             if not unposed

@@ -1,4 +1,7 @@
-"""Where a result gets labels and maps from: the run in this process, or the files of a saved run."""
+"""Where a result gets labels and maps from.
+
+The run in this process, or the files of a saved run.
+"""
 
 from __future__ import annotations
 
@@ -83,5 +86,7 @@ class SavedAnswers:
 
     def _file(self, name: str) -> Path:
         if not (path := self.folder / name).is_file():
-            raise UsageError(f"{path} does not exist. Load the result.json in the folder of its run")
+            raise UsageError(
+                f"{path} does not exist. Load the result.json in the folder of its run"
+            )
         return path

@@ -17,7 +17,10 @@ from dynaviz.io.lock import NAME, unfinished
 from dynaviz.scores.result import Result, run_label
 from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
 
-HINT = "Give a folder with results in it, or the result.json of a run ('dynaviz run METHOD SEQ -o FOLDER' writes one)"
+HINT = (
+    "Give a folder with results in it, or the result.json of a run ('dynaviz run METHOD SEQ -o "
+    "FOLDER' writes one)"
+)
 
 
 @dataclass(frozen=True)
@@ -64,25 +67,32 @@ def collect(paths: Sequence[str | os.PathLike[str]]) -> list[StudyRun]:
         paths: folders, or ``result.json`` files of any name.
 
     Returns:
-        One run per folder, sorted by folder within each path; a run under two of the paths is listed once.
+        One run per folder, sorted by folder within each path; a run under two of the paths is
+        listed once.
 
     Raises:
-        DataError: for a path that does not exist or contains no result, such as that of a killed run, and for a file
-            that is not a result.
+        DataError: for a path that does not exist or contains no result, such as that of a killed
+            run, and for a file that is not a result.
     """
     cells: dict[Path, StudyRun] = {}
     for given in map(Path, paths):
         found = list(_found(given))
         if not found:
-            left = next(filter(None, (unfinished(file.parent) for file in sorted(given.rglob(NAME)))), None)
-            raise left or DataError(given, "contains no result.json, and neither does any subfolder", hint=HINT)
+            left = next(
+                filter(None, (unfinished(file.parent) for file in sorted(given.rglob(NAME)))), None
+            )
+            raise left or DataError(
+                given, "contains no result.json, and neither does any subfolder", hint=HINT
+            )
         for file in found:
             cells.setdefault(file.resolve(), _cell(file, given))
     return list(cells.values())
 
 
 def combined(results: Sequence[Result]) -> Result:
-    """Combine the results of one method on several sequences: each metric combines its own sections by adding counts.
+    """Combine the results of one method on several sequences.
+
+    Each metric combines its own sections by adding counts.
 
     Args:
         results: at least one, of the same method and parameters.
@@ -92,7 +102,9 @@ def combined(results: Sequence[Result]) -> Result:
     """
     first = results[0]
     if len({result.scoring for result in results}) > 1:
-        raise DynavizError("results of different scorings cannot be combined. Score all sequences the same way.")
+        raise DynavizError(
+            "results of different scorings cannot be combined. Score all sequences the same way."
+        )
     sections: dict[str, Any] = {}
     for metric in registry.loadable("metrics").values():
         if combine := getattr(metric, "combine", None):
@@ -114,15 +126,21 @@ def combined(results: Sequence[Result]) -> Result:
 
 
 def _runtime(runtimes: Sequence[Runtime]) -> Runtime:
-    """Mean and deviation over the frames of all sequences; unknown if a map of another program is among them."""
-    frames, seconds, squares = 0, 0.0, 0.0
+    """Mean and deviation over the frames of all sequences.
+
+    Unknown if a map of another program is among them.
+    """
+    frames = 0
+    seconds = 0.0
+    squares = 0.0
     for runtime in runtimes:
         if runtime.frames is None or runtime.mean_s is None or runtime.std_s is None:
             return Runtime()
         frames += runtime.frames
         seconds += runtime.frames * runtime.mean_s
         squares += runtime.frames * (runtime.std_s**2 + runtime.mean_s**2)
-    mean, square = seconds / frames, squares / frames
+    mean = seconds / frames
+    square = squares / frames
     return Runtime(mean, math.sqrt(max(0.0, square - mean**2)), frames)
 
 
@@ -133,7 +151,9 @@ def _found(given: Path) -> Iterator[Path]:
         return
     if not given.is_dir():
         raise DataError(given, "does not exist", hint=HINT)
-    for folder in sorted({file.parent for name in ("result.json", "error.json") for file in given.rglob(name)}):
+    for folder in sorted(
+        {file.parent for name in ("result.json", "error.json") for file in given.rglob(name)}
+    ):
         result = folder / "result.json"
         yield result if result.is_file() else folder / "error.json"
 

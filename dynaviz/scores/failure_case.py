@@ -32,12 +32,15 @@ class FailureCase(Struct, frozen=True):
         cause: the failure cause (``dynaviz.contracts.method.Cause``), or None.
         class_, instance: of the ground truth, or None.
         what: what it is, in words; sentence: a description for the reader.
-        behaviour: what the object or place did (``dynaviz.scores.behaviour``), in the data alone; None if unknown.
+        behaviour: what the object or place did (``dynaviz.scores.behaviour``), in the data alone;
+            None if unknown.
         ground: share of the points on the ground, 0 to 1; None if unknown.
-        reason: the reason that decided it, of which ``sentence`` gives the meaning; None in earlier results.
-        grazed: share of its surface that its rays meet at a small angle in its worst frame, 0 to 1; None for kept
-            points, and if too few lie on a surface.
-        spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier results.
+        reason: the reason that decided it, of which ``sentence`` gives the meaning; None in earlier
+            results.
+        grazed: share of its surface that its rays meet at a small angle in its worst frame, 0 to 1;
+            None for kept points, and if too few lie on a surface.
+        spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier
+            results.
     """
 
     kind: Literal["false_negative", "false_positive"]
@@ -69,8 +72,12 @@ class FailureCase(Struct, frozen=True):
         return "DA" if self.kind == "false_negative" else "SA"
 
 
-def case_at(cases: Sequence[FailureCase], kind: str, frame: int, place: Sequence[float]) -> FailureCase | None:
-    """The costliest case of a kind whose frames and box contain a wrong point; None if no listed case does.
+def case_at(
+    cases: Sequence[FailureCase], kind: str, frame: int, place: Sequence[float]
+) -> FailureCase | None:
+    """The costliest case of a kind whose frames and box contain a wrong point.
+
+    None if no listed case does.
 
     Args:
         cases: costliest first.

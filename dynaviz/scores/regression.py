@@ -26,7 +26,8 @@ SCHEMA = 1
 HEADLINE = ("SA", "DA", "AA", "HA")
 ROUNDING = 1e-9  # percentage points
 STORED = ("sequence", "method", "variant", "online", "parameters", "scoring", "counts", "metrics")
-"""What a baseline stores of a result. The runtime is left out, so that it is valid on any machine."""
+"""What a baseline stores of a result. The runtime is left out, so that it is valid on any machine.
+"""
 _HINT = "Write one with: dynaviz check RESULTS --write-baseline FILE"
 
 
@@ -49,10 +50,13 @@ class CheckedValue:
     Attributes:
         outcome: whether the check failed, passed or improved on the baseline.
         run: method and sequence.
-        name: the metric, ``s/frame``, or ``run``, ``method`` or ``parameters`` for an entry without numbers.
-        value, limit: in percent (seconds for ``s/frame``); None if undefined, both None for an entry without numbers.
+        name: the metric, ``s/frame``, or ``run``, ``method`` or ``parameters`` for an entry without
+            numbers.
+        value, limit: in percent (seconds for ``s/frame``); None if undefined, both None for an
+            entry without numbers.
         remark: a further explanation.
-        counts: by outcome, the number of points in the result and its difference from the baseline, None without one.
+        counts: by outcome, the number of points in the result and its difference from the baseline,
+            None without one.
     """
 
     outcome: CheckOutcome
@@ -103,15 +107,19 @@ def check(
         complete: whether every entry of the baseline must have a result.
 
     Raises:
-        UsageError: for a metric that a result does not have, or if a result is from a different sequence or uses
-            another scoring than its baseline entry.
+        UsageError: for a metric that a result does not have, or if a result is from a different
+            sequence or uses another scoring than its baseline entry.
     """
-    minima, values = list(minima), []
+    minima = list(minima)
+    values = []
     left = list(baseline or [])
     for cell in cells:
         if cell.result is None:
-            run, failed = f"{cell.label} on {cell.sequence}", (cell.method, cell.variant, cell.sequence)
-            values.append(CheckedValue(CheckOutcome.FAILED, run, "run", remark=f"failed: {cell.error}"))
+            run = f"{cell.label} on {cell.sequence}"
+            failed = (cell.method, cell.variant, cell.sequence)
+            values.append(
+                CheckedValue(CheckOutcome.FAILED, run, "run", remark=f"failed: {cell.error}")
+            )
             left = [e for e in left if (e.method, e.variant, e.sequence.name) != failed]
             continue
         now = cell.result
@@ -124,7 +132,9 @@ def check(
         values += _runtime(now, before)
     if complete:
         values += [
-            CheckedValue(CheckOutcome.FAILED, label(e), "run", remark="is in the baseline, but has no result")
+            CheckedValue(
+                CheckOutcome.FAILED, label(e), "run", remark="is in the baseline, but has no result"
+            )
             for e in left
         ]
     return RegressionCheck(sorted(values, key=lambda value: value.outcome))
@@ -132,10 +142,15 @@ def check(
 
 def _against_minimum(now: Result, name: str, minimum: float) -> CheckedValue:
     if name not in now.metrics:
-        raise UsageError(f"--min {name}: {label(now)} has the metrics {', '.join(now.metrics) or 'none'}")
-    value, counts = now.metrics[name], _counts(now, None)
+        raise UsageError(
+            f"--min {name}: {label(now)} has the metrics {', '.join(now.metrics) or 'none'}"
+        )
+    value = now.metrics[name]
+    counts = _counts(now, None)
     if value is None:
-        return CheckedValue(CheckOutcome.FAILED, label(now), name, None, minimum, _why_undefined(now), counts)
+        return CheckedValue(
+            CheckOutcome.FAILED, label(now), name, None, minimum, _why_undefined(now), counts
+        )
     outcome = CheckOutcome.FAILED if value < minimum else CheckOutcome.PASSED
     return CheckedValue(outcome, label(now), name, value, minimum, "", counts)
 
@@ -143,12 +158,16 @@ def _against_minimum(now: Result, name: str, minimum: float) -> CheckedValue:
 def _against_baseline(now: Result, before: Result | None, tolerance: float) -> list[CheckedValue]:
     if before is None:
         return [CheckedValue(CheckOutcome.INFO, label(now), "run", remark="is not in the baseline")]
-    values, counts = [], _counts(now, before)
+    values = []
+    counts = _counts(now, before)
     for name in HEADLINE:
-        new, old = now.metrics.get(name), before.metrics.get(name)
-        outcome, remark = CheckOutcome.PASSED, ""
+        new = now.metrics.get(name)
+        old = before.metrics.get(name)
+        outcome = CheckOutcome.PASSED
+        remark = ""
         if new is None and old is not None:
-            outcome, remark = CheckOutcome.FAILED, _why_undefined(now)
+            outcome = CheckOutcome.FAILED
+            remark = _why_undefined(now)
         elif new is not None and old is not None:  # a metric that becomes defined passes
             if new < old - tolerance - ROUNDING:
                 outcome = CheckOutcome.FAILED
@@ -156,17 +175,22 @@ def _against_baseline(now: Result, before: Result | None, tolerance: float) -> l
                 outcome = CheckOutcome.IMPROVED
         values.append(CheckedValue(outcome, label(now), name, new, old, remark, counts))
     if now.method != before.method:
-        values.append(CheckedValue(CheckOutcome.INFO, label(now), "method", remark=f"was {before.method}"))
+        values.append(
+            CheckedValue(CheckOutcome.INFO, label(now), "method", remark=f"was {before.method}")
+        )
     elif now.parameters != before.parameters:
         names = sorted(now.parameters.keys() | before.parameters.keys())
         changed = [n for n in names if now.parameters.get(n) != before.parameters.get(n)]
-        changes = ", ".join(f"{n} {before.parameters.get(n)} -> {now.parameters.get(n)}" for n in changed)
+        changes = ", ".join(
+            f"{n} {before.parameters.get(n)} -> {now.parameters.get(n)}" for n in changed
+        )
         values.append(CheckedValue(CheckOutcome.INFO, label(now), "parameters", remark=changes))
     return values
 
 
 def _runtime(now: Result, before: Result | None) -> list[CheckedValue]:
-    value, limit = now.runtime.mean_s, before.runtime.mean_s if before else None
+    value = now.runtime.mean_s
+    limit = before.runtime.mean_s if before else None
     if value is None or limit is None:
         return []
     return [CheckedValue(CheckOutcome.INFO, label(now), "s/frame", value, limit, "not checked")]
@@ -189,29 +213,41 @@ def _why_undefined(now: Result) -> str:
 
 
 def _match(now: Result, baseline: Sequence[Result], alone: bool) -> Result | None:
-    """The baseline entry of the same run; of several, the one with the same data, then scoring, then parameters."""
+    """The baseline entry of the same run.
+
+    Of several, the one with the same data, then scoring, then parameters.
+    """
 
     def same_run(e: Result) -> bool:
         same_method = (e.method, e.variant, e.online) == (now.method, now.variant, now.online)
-        return same_method and (e.sequence.digest == now.sequence.digest or e.sequence.name == now.sequence.name)
+        return same_method and (
+            e.sequence.digest == now.sequence.digest or e.sequence.name == now.sequence.name
+        )
 
     found = [entry for entry in baseline if alone or same_run(entry)]
     if not found:
         return None
     agreeing = [
-        (e.sequence.digest == now.sequence.digest, e.scoring == now.scoring, e.parameters == now.parameters)
+        (
+            e.sequence.digest == now.sequence.digest,
+            e.scoring == now.scoring,
+            e.parameters == now.parameters,
+        )
         for e in found
     ]
     before = found[agreeing.index(max(agreeing))]
     if before.sequence.digest != now.sequence.digest:
         raise UsageError(
-            f"{label(now)}: the data differ from the baseline: digest {_data(now)}, in the baseline {_data(before)}. "
-            "Use the same frames of the same sequence (if simulated: the same scene, frames, seed and dynaviz "
+            f"{label(now)}: the data differ from the baseline: digest {_data(now)}, in the "
+            f"baseline {_data(before)}. "
+            "Use the same frames of the same sequence (if simulated: the same scene, frames, seed "
+            "and dynaviz "
             "version), or write a new baseline"
         )
     if before.scoring != now.scoring:
         raise UsageError(
-            f"{label(now)}: the result uses the scoring {now.scoring}, the baseline {before.scoring}; their metrics "
+            f"{label(now)}: the result uses the scoring {now.scoring}, the baseline "
+            f"{before.scoring}; their metrics "
             "are not comparable. Score both in the same way"
         )
     return before
@@ -248,24 +284,36 @@ def write_baseline(path: str | os.PathLike[str], results: Iterable[Result]) -> N
     """
     found: dict[str, Result] = {}
     for each in results:
-        key = json.dumps([label(each), each.sequence.digest, each.scoring, each.parameters], sort_keys=True)
+        key = json.dumps(
+            [label(each), each.sequence.digest, each.scoring, each.parameters], sort_keys=True
+        )
         if found.setdefault(key, each).counts != each.counts:
             raise UsageError(f"two results of {label(each)} differ: leave one out of the baseline")
     order = sorted(found.values(), key=lambda e: (e.sequence.name, e.method, e.variant, e.online))
-    rows = [json.dumps({name: msgspec.to_builtins(getattr(each, name)) for name in STORED}) for each in order]
+    rows = [
+        json.dumps({name: msgspec.to_builtins(getattr(each, name)) for name in STORED})
+        for each in order
+    ]
     # One line per run, so that a diff of two versions shows which runs changed.
     text = f'{{"baseline": {SCHEMA}, "results": [\n' + ",\n".join(rows) + "\n]}\n"
     write_atomic(Path(path), text.encode())
 
 
 def junit_xml(checked: RegressionCheck) -> bytes:
-    """A test suite with a test case for each checked value of each run; values for information are not in it."""
+    """A test suite with a test case for each checked value of each run.
+
+    Values for information are not in it.
+    """
     root = xml.Element("testsuites", name="dynaviz check")
     values = [each for each in checked.values if each.outcome is not CheckOutcome.INFO]
-    for run, of_run in groupby(sorted(values, key=lambda each: each.run), key=lambda each: each.run):
+    for run, of_run in groupby(
+        sorted(values, key=lambda each: each.run), key=lambda each: each.run
+    ):
         rows = list(of_run)
         failed = sum(each.outcome is CheckOutcome.FAILED for each in rows)
-        suite = xml.SubElement(root, "testsuite", name=run, tests=f"{len(rows)}", failures=f"{failed}")
+        suite = xml.SubElement(
+            root, "testsuite", name=run, tests=f"{len(rows)}", failures=f"{failed}"
+        )
         for each in rows:
             case = xml.SubElement(suite, "testcase", classname=run, name=each.name)
             text = _sentence(each)

@@ -57,26 +57,33 @@ class Result:
 
     Attributes:
         method, sequence: what ran on what.
-        parameters: the method's parameters; ``n_parameters`` in the file counts them (paper, runtime table).
+        parameters: the method's parameters; ``n_parameters`` in the file counts them (paper,
+            runtime table).
         sections: what the metrics found.
         runtime: cost of the method alone.
         variant: a short name for the parameter set, if a benchmark runs several.
         preset: name of the preset that was used, or None.
-        parameter_origins: for each parameter the layer that set it: ``default``, ``preset NAME``, a file, ``--set``.
+        parameter_origins: for each parameter the layer that set it: ``default``, ``preset NAME``, a
+            file, ``--set``.
         scoring: ``mask`` (labels by index) or ``nn`` (nearest neighbour in a cleaned map).
         labels_sha256: digest of all labels in the order of the sequence.
         recording_sha256: digest of the recording's file, or None.
         record: how much that recording contains, or None.
-        instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
+        instrumented: whether the method's states were recorded while it ran, so that its runtime is
+            not comparable.
         environment: package versions, machine and threading layer.
         command: what the user typed.
-        pose_noise: noise of the sequence's poses; None if too few planes are seen, and in results of earlier versions.
+        pose_noise: noise of the sequence's poses; None if too few planes are seen, and in results
+            of earlier versions.
         pose_refinement: how the poses were refined; None if they were not.
-        pose_findings: what is likely wrong with poses, frames or units; empty in results of earlier versions.
+        pose_findings: what is likely wrong with poses, frames or units; empty in results of earlier
+            versions.
         account: where the points of the source went; None in results of earlier versions.
         origin: where the sequence came from, to open it again; None in results of earlier versions.
-        plugin: the code of the method; None for another program, and in results of earlier versions.
-        answers: where ``labels`` and ``static_map`` come from (``dynaviz.scores.answers``); not in the file.
+        plugin: the code of the method; None for another program, and in results of earlier
+            versions.
+        answers: where ``labels`` and ``static_map`` come from (``dynaviz.scores.answers``); not in
+            the file.
     """
 
     method: str
@@ -118,7 +125,11 @@ class Result:
     def unanswered(self) -> str:
         """How many frames another program has no labels for, in words; empty if it answers all."""
         n = len(self.sections.source.unanswered_frames) if self.sections.source else 0
-        return f"{n:,} of {self.sequence.frames:,} frames have no labels and are not scored" if n else ""
+        return (
+            f"{n:,} of {self.sequence.frames:,} frames have no labels and are not scored"
+            if n
+            else ""
+        )
 
     @property
     def has_truth(self) -> bool:
@@ -132,7 +143,10 @@ class Result:
 
     @property
     def causes(self) -> Mapping[str, Mapping[str, CaseTotals]]:
-        """Cases and points by kind of error and cause, most points first; empty if no metric looked for them."""
+        """Cases and points by kind of error and cause, most points first.
+
+        Empty if no metric looked for them.
+        """
         return self.sections.failures.causes if self.sections.failures else {}
 
     @property
@@ -142,7 +156,9 @@ class Result:
 
     @property
     def labels(self) -> RunLabels:
-        """Labels by position of the frame: ``labels[i]`` is (N,) bool, True for points that the method removed.
+        """Labels by position of the frame.
+
+        ``labels[i]`` is (N,) bool, True for points that the method removed.
 
         Raises:
             UsageError: for a result that was loaded without the ``labels.npz`` of its run.
@@ -150,7 +166,9 @@ class Result:
         return self._answers.labels
 
     def static_map(self) -> F64:
-        """(M, 3) float64, metres: the points that the method kept, in the coordinates of the source.
+        """(M, 3) float64, metres.
+
+        The points that the method kept, in the coordinates of the source.
 
         Raises:
             UsageError: for a result that was loaded without the files of its run.
@@ -160,24 +178,42 @@ class Result:
     @property
     def _answers(self) -> Answers:
         if self.answers is None:
-            raise UsageError("this result has no labels. Run the method, or load the result.json in the run's folder")
+            raise UsageError(
+                "this result has no labels. Run the method, or load the result.json in the run's "
+                "folder"
+            )
         found: Answers = self.answers
         return found
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``result.json``."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in _NOT_IN_FILE}
+        fields = {
+            f.name: getattr(self, f.name)
+            for f in dataclasses.fields(self)
+            if f.name not in _NOT_IN_FILE
+        }
         plain: dict[str, Any] = msgspec.to_builtins(fields)
-        return {"schema": SCHEMA, "n_parameters": len(self.parameters), **plain, **self.sections.plain()}
+        return {
+            "schema": SCHEMA,
+            "n_parameters": len(self.parameters),
+            **plain,
+            **self.sections.plain(),
+        }
 
     def recorded_as(self, sha256: str | None) -> Result:
-        """The result with the digest of its finished recording, the only fact that the recording cannot contain."""
+        """The result with the digest of its finished recording, the only fact that the recording
+        cannot contain.
+        """
         return dataclasses.replace(self, recording_sha256=sha256)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``result.json``, whole or not at all."""
-        with atomic_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-            json.dump(self.to_dict(), file, indent=1, allow_nan=False)  # piece by piece: frames may be many
+        with (
+            atomic_file(path) as temporary,
+            temporary.open("w", encoding="utf-8", newline="\n") as file,
+        ):
+            # piece by piece: frames may be many
+            json.dump(self.to_dict(), file, indent=1, allow_nan=False)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
@@ -186,7 +222,9 @@ class Result:
         Raises:
             DataError: if the file is not a result, or was written by a newer dynaviz.
         """
-        return dataclasses.replace(cls.from_dict(read_json(path, _HINT), path), answers=SavedAnswers(Path(path).parent))
+        return dataclasses.replace(
+            cls.from_dict(read_json(path, _HINT), path), answers=SavedAnswers(Path(path).parent)
+        )
 
     @classmethod
     def from_dict(cls, plain: Any, path: str | os.PathLike[str]) -> Result:
@@ -202,12 +240,18 @@ class Result:
             raise DataError(path, "was written by a newer dynaviz", hint="Upgrade dynaviz")
         names = {f.name for f in dataclasses.fields(cls)} - _NOT_IN_FILE
         fields = {key: value for key, value in plain.items() if key in names}
-        rest = {k: v for k, v in plain.items() if k not in {*names, *_NOT_IN_FILE, "schema", "n_parameters"}}
+        rest = {
+            k: v
+            for k, v in plain.items()
+            if k not in {*names, *_NOT_IN_FILE, "schema", "n_parameters"}
+        }
         try:
             result = msgspec.convert(fields, cls)
             return dataclasses.replace(result, sections=Sections.of(rest))
         except msgspec.ValidationError as error:
-            raise DataError(path, f"is not a valid result: {error}", hint="Run the method again") from None
+            raise DataError(
+                path, f"is not a valid result: {error}", hint="Run the method again"
+            ) from None
 
     def __rich__(self) -> RenderableType:
         return result_table([self])
@@ -227,10 +271,16 @@ class Result:
 
 
 def environment() -> Environment:
-    """Package versions that may affect labels or speed, this machine, and the threading layer of this process."""
-    versions = {name: metadata.version(name) for name in ("dynaviz", "numba", "numpy", "scipy", "rerun-sdk")}
+    """Package versions that may affect labels or speed, this machine, and the threading layer of
+    this process.
+    """
+    versions = {
+        name: metadata.version(name) for name in ("dynaviz", "numba", "numpy", "scipy", "rerun-sdk")
+    }
     machine = Machine(platform.system(), platform.machine(), os.cpu_count())
-    return Environment({"python": platform.python_version(), **versions}, machine, kernels.threading_layer())
+    return Environment(
+        {"python": platform.python_version(), **versions}, machine, kernels.threading_layer()
+    )
 
 
 def run_label(method: str, variant: str, online: bool) -> str:
@@ -242,13 +292,15 @@ def run_label(method: str, variant: str, online: bool) -> str:
 def result_table(results: Sequence[Result], title: str | None = None) -> Table:
     """One row per result, in 80 columns; the best AA of each sequence and scoring is bold.
 
-    If no result has ground truth, the table shows what was removed instead of scores. Percentages have two decimals as
-    in the papers, ``n/a`` where undefined. Scores of different scorings (``mask``, ``nn``) cannot be compared: if there
-    are several, the scoring has its own column.
+    If no result has ground truth, the table shows what was removed instead of scores. Percentages
+    have two decimals as in the papers, ``n/a`` where undefined. Scores of different scorings
+    (``mask``, ``nn``) cannot be compared: if there are several, the scoring has its own column.
     """
     from rich.markup import escape
 
-    if any(result.sections.removals for result in results) and not any(result.has_truth for result in results):
+    if any(result.sections.removals for result in results) and not any(
+        result.has_truth for result in results
+    ):
         return _removal_table(results, title)
     scorings = sorted({result.scoring for result in results})
     table = _plain_table(results, title, _caption(results, scorings))
@@ -284,9 +336,13 @@ def _plain_table(results: Sequence[Result], title: str | None, caption: str) -> 
     from rich.table import Table
 
     table = Table(title=title, caption=caption, caption_justify="left")
-    table.box, table.padding, table.pad_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
+    table.box = box.SIMPLE_HEAD
+    table.padding = (0, 1, 0, 0)
+    table.pad_edge = False
     table.add_column("sequence", overflow="fold")
-    table.add_column("method", no_wrap=not any(result.variant for result in results), overflow="fold")
+    table.add_column(
+        "method", no_wrap=not any(result.variant for result in results), overflow="fold"
+    )
     return table
 
 
@@ -294,7 +350,11 @@ def _removal_table(results: Sequence[Result], title: str | None) -> Table:
     """What runs without ground truth removed, and why."""
     from rich.markup import escape
 
-    slowed = ["* runtime includes recording of states"] if any(result.instrumented for result in results) else []
+    slowed = (
+        ["* runtime includes recording of states"]
+        if any(result.instrumented for result in results)
+        else []
+    )
     note = "There is no ground truth, so it is unknown which points were removed rightly"
     table = _plain_table(results, title, "\n".join([note, *_at_sensor(results), *slowed]))
     for name in ("removed", "in %"):
@@ -304,7 +364,9 @@ def _removal_table(results: Sequence[Result], title: str | None) -> Table:
     for result in results:
         removals = result.sections.removals or Removals()
         listed = list(removals.reasons.items())[:_REASONS]
-        shares = [f"{name} {100 * n / removals.removed:.0f}\N{NO-BREAK SPACE}%" for name, n in listed]
+        shares = [
+            f"{name} {100 * n / removals.removed:.0f}\N{NO-BREAK SPACE}%" for name, n in listed
+        ]
         table.add_row(
             escape(result.sequence.name),
             escape(run_label(result.method, result.variant, result.online)),
@@ -324,7 +386,11 @@ def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
         *([f"scoring: {scorings[0]}"] if len(scorings) == 1 else []),
         *(f"{result.method}: {note}" for result in results if (note := result.unanswered)),
         *_at_sensor(results),
-        *(["* runtime includes recording of states"] if any(result.instrumented for result in results) else []),
+        *(
+            ["* runtime includes recording of states"]
+            if any(result.instrumented for result in results)
+            else []
+        ),
     ]
     return "\n".join(lines)
 
@@ -357,11 +423,18 @@ def _count(result: Result, part: str) -> str:
 
 def _runtime(result: Result) -> str:
     """Seconds per frame, with a mark if recording the method's states slowed it down."""
-    mean, std = result.runtime.mean_s, result.runtime.std_s
+    mean = result.runtime.mean_s
+    std = result.runtime.std_s
     if mean is None:
         return "n/a"
-    return f"{mean:.3f}" + ("" if std is None else f" ±{std:.3f}") + ("*" if result.instrumented else "")
+    return (
+        f"{mean:.3f}"
+        + ("" if std is None else f" ±{std:.3f}")
+        + ("*" if result.instrumented else "")
+    )
 
 
-with contextlib.suppress(msgspec.ValidationError):  # describes the type, which is not safe in several threads at once
+with contextlib.suppress(
+    msgspec.ValidationError
+):  # describes the type, which is not safe in several threads at once
     msgspec.convert({}, Result)

@@ -1,7 +1,9 @@
-"""The scores of a labelled map and the cost of wrong points, from counts of points. Defined here and nowhere else.
+"""The scores of a labelled map and the cost of wrong points, from counts of points.
 
-All functions take numbers or arrays. Results are NaN where undefined: without dynamic ground truth there is no DA, and
-hence no AA and no HA.
+Defined here and nowhere else.
+
+All functions take numbers or arrays. Results are NaN where undefined: without dynamic ground truth
+there is no DA, and hence no AA and no HA.
 """
 
 from __future__ import annotations
@@ -17,7 +19,13 @@ from dynaviz.arrays import F64, U8
 from dynaviz.contracts.scan import Outcome
 
 SCORES = ("SA", "DA", "AA", "HA")
-RANGE_EDGES = (10.0, 20.0, 30.0, 50.0)  # metres from the sensor: scores and counts by range use the bins between these
+# metres from the sensor: scores and counts by range use the bins between these
+RANGE_EDGES = (
+    10.0,
+    20.0,
+    30.0,
+    50.0,
+)
 
 
 def percent(part: Any, whole: Any) -> F64:
@@ -47,12 +55,16 @@ def accuracies(static_kept: Any, static: Any, dynamic_removed: Any, dynamic: Any
         static_kept, dynamic_removed: (...) points with a correct answer.
         static, dynamic: (...) all points of that ground truth.
     """
-    SA, DA = percent(static_kept, static), percent(dynamic_removed, dynamic)
-    return dict(zip(SCORES, (SA, DA, associated_accuracy(SA, DA), harmonic_mean(SA, DA)), strict=True))
+    SA = percent(static_kept, static)
+    DA = percent(dynamic_removed, dynamic)
+    return dict(
+        zip(SCORES, (SA, DA, associated_accuracy(SA, DA), harmonic_mean(SA, DA)), strict=True)
+    )
 
 
 def percentage_points_lost(wrong: Any, total: Any) -> F64:
-    """(...) float64: what wrong points cost, in percentage points of SA (static points) or DA (dynamic points).
+    """(...) float64: what wrong points cost, in percentage points of SA (static points) or DA
+    (dynamic points).
 
     Costs add up: those of all wrong points are 100 - SA and 100 - DA.
 
@@ -65,9 +77,12 @@ def percentage_points_lost(wrong: Any, total: Any) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Numbers of points by ground truth and answer. Add the counts of frames or sequences to combine them.
+    """Numbers of points by ground truth and answer.
 
-    Percentages are NaN where undefined: without dynamic ground truth there is no DA, and hence no AA and no HA.
+    Add the counts of frames or sequences to combine them.
+
+    Percentages are NaN where undefined: without dynamic ground truth there is no DA, and hence no
+    AA and no HA.
     """
 
     static_kept: int = 0
@@ -94,7 +109,12 @@ class Counts:
         )
 
     def __add__(self, other: Counts) -> Counts:
-        return Counts(*(a + b for a, b in zip(dataclasses.astuple(self), dataclasses.astuple(other), strict=True)))
+        return Counts(
+            *(
+                a + b
+                for a, b in zip(dataclasses.astuple(self), dataclasses.astuple(other), strict=True)
+            )
+        )
 
     @property
     def SA(self) -> float:
@@ -124,7 +144,11 @@ class Counts:
     @property
     def IoU(self) -> float:
         """Intersection over union of the dynamic class, percent."""
-        return float(percent(self.dynamic_removed, self.dynamic_removed + self.static_removed + self.dynamic_kept))
+        return float(
+            percent(
+                self.dynamic_removed, self.dynamic_removed + self.static_removed + self.dynamic_kept
+            )
+        )
 
     def metrics(self) -> dict[str, float | None]:
         """All percentages as plain JSON values, None where undefined."""

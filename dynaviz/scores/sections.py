@@ -1,6 +1,9 @@
-"""The typed parts of a result. They read and write the JSON of ``result.json``; unknown keys are ignored.
+"""The typed parts of a result. They read and write the JSON of ``result.json``.
 
-Percentages are None where undefined: without dynamic ground truth there is no DA, and so no AA and no HA.
+Unknown keys are ignored.
+
+Percentages are None where undefined: without dynamic ground truth there is no DA, and so no AA and
+no HA.
 """
 
 from __future__ import annotations
@@ -21,7 +24,9 @@ class SequenceInfo(Struct, frozen=True):
     digest: str = ""
     frames: int = 0
     points: int = 0
-    at_sensor: int | None = None  # points that the method did not see; None in results of earlier versions
+    at_sensor: int | None = (
+        None  # points that the method did not see; None in results of earlier versions
+    )
 
 
 class Runtime(Struct, frozen=True):
@@ -43,11 +48,16 @@ class Machine(Struct, frozen=True):
     cores: int | None = None
 
     def __str__(self) -> str:
-        return " ".join(str(value) for value in (self.system, self.arch, self.cores) if value is not None)
+        return " ".join(
+            str(value) for value in (self.system, self.arch, self.cores) if value is not None
+        )
 
 
 class Environment(Struct, frozen=True):
-    """What may affect labels or speed: package versions, the machine, the threading layer (None before any kernel)."""
+    """What may affect labels or speed.
+
+    Package versions, the machine, the threading layer (None before any kernel).
+    """
 
     versions: Mapping[str, str] = {}
     machine: Machine = Machine()
@@ -55,12 +65,15 @@ class Environment(Struct, frozen=True):
 
 
 class Source(Struct, frozen=True):
-    """The file or folder of another program that was scored; the numbers of a map are None for labels.
+    """The file or folder of another program that was scored.
+
+    The numbers of a map are None for labels.
 
     Attributes:
         static_within_1_m: percent of the static points with a point of the map within 1 m.
         remarks: what a user should know before trusting the scores, one line each.
-        unanswered_frames, unanswered_points: positions in the run of frames without labels; their points, not scored.
+        unanswered_frames, unanswered_points: positions in the run of frames without labels; their
+            points, not scored.
     """
 
     file: str = ""
@@ -104,7 +117,8 @@ class FrameRow(_Row, frozen=True, kw_only=True):
 class ObjectRow(_Row, frozen=True, kw_only=True):
     """An object, by class and instance number.
 
-    ``reasons``: wrongly kept points by reason, most frequent first; None in results of earlier versions.
+    ``reasons``: wrongly kept points by reason, most frequent first; None in results of earlier
+    versions.
     """
 
     class_: int | None = field(name="class", default=None)
@@ -125,7 +139,10 @@ class Breakdown(Struct, frozen=True):
 
 
 class ErrorDistances(Struct, frozen=True):
-    """Distances from wrong points to the nearest right ones: percentiles in metres, and percent within a distance."""
+    """Distances from wrong points to the nearest right ones.
+
+    Percentiles in metres, and percent within a distance.
+    """
 
     p10: float | None = None
     p50: float | None = None
@@ -145,7 +162,10 @@ class CaseTotals(Struct, frozen=True):
 
 
 class Failures(Struct, frozen=True):
-    """Failure cases, costliest first; ``causes``: totals by kind and cause; ``others``: cases that are not listed."""
+    """Failure cases, costliest first; ``causes``: totals by kind and cause; ``others``.
+
+    Cases that are not listed.
+    """
 
     cases: tuple[FailureCase, ...] = ()
     causes: Mapping[str, Mapping[str, CaseTotals]] = {}
@@ -162,7 +182,10 @@ class RemovedInterval(Struct, frozen=True, kw_only=True):
 
 
 class RemovedFrame(Struct, frozen=True):
-    """Points and removed points of a frame: its position in the run, and its number in the data set."""
+    """Points and removed points of a frame.
+
+    Its position in the run, and its number in the data set.
+    """
 
     frame: int
     index: int
@@ -171,7 +194,9 @@ class RemovedFrame(Struct, frozen=True):
 
 
 class RemovedCluster(Struct, frozen=True):
-    """Removed points that belong together, in a run without ground truth: possibly right, possibly wrong.
+    """Removed points that belong together, in a run without ground truth.
+
+    Possibly right, possibly wrong.
 
     Attributes:
         points: how many points were removed; a point counts once per frame.
@@ -182,8 +207,10 @@ class RemovedCluster(Struct, frozen=True):
         reasons: points by reason, most frequent first.
         ground: share of the points on the ground, 0 to 1.
         kept_near: share of the points next to points that were kept, 0 to 1.
-        suspicion: 0 (looks like a mover) to 1 (looks like a static surface); why: in words, strongest first.
-        did: ``removed``, or of drives ``appeared`` or ``disappeared``; what: what it looks like; sentence: in words.
+        suspicion: 0 (looks like a mover) to 1 (looks like a static surface); why: in words,
+            strongest first.
+        did: ``removed``, or of drives ``appeared`` or ``disappeared``; what: what it looks like;
+            sentence: in words.
     """
 
     points: int
@@ -249,7 +276,10 @@ class Reasons(Struct, frozen=True):
 
 
 class Voxelwise(Struct, frozen=True):
-    """Preservation and rejection rate over voxels, percent; ``edge_m``: edge of a voxel; numbers of voxels."""
+    """Preservation and rejection rate over voxels, percent; ``edge_m``: edge of a voxel.
+
+    Numbers of voxels.
+    """
 
     edge_m: float = 0.0
     PR: float | None = None
@@ -266,7 +296,8 @@ class TileRow(Struct, frozen=True):
 
     Attributes:
         column, row: the tile spans [column, column + 1) * size_m in x, and the same with row in y.
-        static_kept, static_removed, dynamic_removed, dynamic_kept: numbers of points, as in ``counts``.
+        static_kept, static_removed, dynamic_removed, dynamic_kept: numbers of points, as in
+            ``counts``.
         unlabelled_kept, unlabelled_removed: the same of points without ground truth.
     """
 
@@ -301,8 +332,8 @@ class Sections(Struct, frozen=True, omit_defaults=True):
     """What the metrics found; None or empty where a metric did not run.
 
     Attributes:
-        counts: points by ground truth and answer: static_kept, static_removed, dynamic_removed, dynamic_kept,
-            unlabelled.
+        counts: points by ground truth and answer: static_kept, static_removed, dynamic_removed,
+            dynamic_kept, unlabelled.
         metrics: SA, DA, AA, HA, precision and IoU in percent.
         error_distance: by kind of error.
         other: sections of metrics from other packages, as plain JSON values.
@@ -335,10 +366,16 @@ class Sections(Struct, frozen=True, omit_defaults=True):
         Raises:
             msgspec.ValidationError: as ``of``.
         """
-        known = {key: value for key, value in plain.items() if key in self.__struct_fields__ and key != "other"}
+        known = {
+            key: value
+            for key, value in plain.items()
+            if key in self.__struct_fields__ and key != "other"
+        }
         sections = msgspec.convert(known, Sections)
         other = {**self.other, **{key: value for key, value in plain.items() if key not in known}}
-        return msgspec.structs.replace(self, **{key: getattr(sections, key) for key in known}, other=other)
+        return msgspec.structs.replace(
+            self, **{key: getattr(sections, key) for key in known}, other=other
+        )
 
     def plain(self) -> dict[str, Any]:
         """Plain JSON values, the inverse of ``of``."""
@@ -346,4 +383,5 @@ class Sections(Struct, frozen=True, omit_defaults=True):
         return {**{key: value for key, value in plain.items() if key != "other"}, **self.other}
 
 
-msgspec.convert({}, Sections)  # the first conversion describes the type, which is not safe in several threads at once
+# the first conversion describes the type, which is not safe in several threads at once
+msgspec.convert({}, Sections)

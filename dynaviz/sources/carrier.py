@@ -12,22 +12,33 @@ from dynaviz.contracts.scan import Scan, Sequence, base_of, select_frames
 from dynaviz.sources.sensing import ScanRays, height_of
 from dynaviz.spatial import geometry
 
-SCANS, FEWEST = 16, 6  # scans that are read, and between which the sensor must have moved
-STEP, TURN = 1.0, 15.0  # metres or degrees between two of them: static objects do not stay in their cubes
+# scans that are read, and between which the sensor must have moved
+SCANS = 16
+FEWEST = 6
+# metres or degrees between two of them: static objects do not stay in their cubes
+STEP = 1.0
+TURN = 15.0
 REACH = 3.0  # metres; a carrier does not extend farther from the sensor
-NEAR = 2.0  # metres from the sensor's axis, within which each part of a carrier begins; vehicles beside it do not
+# metres from the sensor's axis, within which each part of a carrier begins; vehicles beside it do
+# not
+NEAR = 2.0
 ALWAYS = 0.8  # share of the scans in which a cube must contain points
-RIGID = 0.04  # metres: standard deviation of their middle; that of a person who keeps step is larger
+RIGID = (
+    0.04  # metres: standard deviation of their middle; that of a person who keeps step is larger
+)
 ABOVE_GROUND = 0.3  # metres; the ground stays below the sensor, too
 
 
 def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
-    """The cubes in the sensor frame that contain the same points wherever the sensor is (``Sensor.carrier``).
+    """The cubes in the sensor frame that contain the same points wherever the sensor is
+    (``Sensor.carrier``).
 
-    Who comes along keeps no distance so exactly, nor does a wall: methods judge these. Sideways, a vehicle in the next
-    lane or the wall of a tunnel may keep it, but it is farther away than the near side of a carrier.
+    Who comes along keeps no distance so exactly, nor does a wall: methods judge these. Sideways, a
+    vehicle in the next lane or the wall of a tunnel may keep it, but it is farther away than the
+    near side of a carrier.
 
-    Simulated sequences have no carrier and are not read. A sensor that does not move shows no carrier.
+    Simulated sequences have no carrier and are not read. A sensor that does not move shows no
+    carrier.
 
     Raises:
         DataError: for data that cannot be read.
@@ -50,7 +61,9 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     if last is None or len(seen) < FEWEST:
         return ()
     middles = np.concatenate(seen)
-    found, of, counts = np.unique(np.floor(middles / CUBE), axis=0, return_inverse=True, return_counts=True)
+    found, of, counts = np.unique(
+        np.floor(middles / CUBE), axis=0, return_inverse=True, return_counts=True
+    )
     apart = middles - _means(middles, of.reshape(-1), len(found))[of.reshape(-1)]
     spread = np.sqrt(_means(apart**2, of.reshape(-1), len(found)).sum(1))
     cubes = found[(counts >= ALWAYS * len(seen)) & (spread < RIGID)].astype(np.int64)
@@ -60,18 +73,25 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
 
 
 def with_carrier(sequence: Sequence) -> Sequence:
-    """The sequence, with an estimate of what carries the sensor if that is unknown; see ``estimate_carrier``."""
+    """The sequence, with an estimate of what carries the sensor if that is unknown.
+
+    See ``estimate_carrier``.
+    """
     if sequence.sensor.carrier or not (carrier := estimate_carrier(sequence)):
         return sequence
     return select_frames(sequence, sensor=replace(sequence.sensor, carrier=carrier))
 
 
 def _begins_near(cubes: I64) -> Bool:
-    """(C,) bool: cubes within ``REACH`` that join others, also at a corner, up to one near the sensor's axis."""
+    """(C,) bool: cubes within ``REACH`` that join others, also at a corner, up to one near the
+    sensor's axis.
+    """
     half = int(REACH / CUBE) + 2  # one more: the border stays empty
-    at, grid = tuple((cubes + half).T), np.zeros((2, *(2 * half,) * 3), np.bool_)
+    at = tuple((cubes + half).T)
+    grid = np.zeros((2, *(2 * half,) * 3), np.bool_)
     found, joined = grid
-    found[at], joined[at] = True, CUBE * np.hypot(*(cubes[:, :2] + 0.5).T) < NEAR
+    found[at] = True
+    joined[at] = CUBE * np.hypot(*(cubes[:, :2] + 0.5).T) < NEAR
     before = -1
     while before < (before := int(joined.sum())):
         for axis in range(3):

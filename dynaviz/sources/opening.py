@@ -1,4 +1,6 @@
-"""Open anything as one sequence that knows where it came from, and open the sequence of a run again."""
+"""Open anything as one sequence that knows where it came from, and open the sequence of a run
+again.
+"""
 
 from __future__ import annotations
 
@@ -53,13 +55,15 @@ def open_source(
     estimate_missing: bool = False,
     progress: Progress = silent,
 ) -> OpenedSequence:
-    """Open a path, a list of paths (drives in one world frame), or a list of ``(points, pose)``; or select frames.
+    """Open a path, a list of paths (drives in one world frame), or a list of ``(points, pose)``.
+
+    Or select frames.
 
     Args:
         source: what to open.
         options: how to open it.
-        folder: where estimated and refined poses are kept; None for ``recordings/SEQUENCE``, and no file of refined
-            poses.
+        folder: where estimated and refined poses are kept; None for ``recordings/SEQUENCE``, and no
+            file of refined poses.
         estimate_missing: estimate poses if the source has none.
         progress: called while poses are estimated or refined.
 
@@ -71,8 +75,11 @@ def open_source(
     places = _places(source)
     if options.poses is not None and not isinstance(options.poses, str):
         if places:
-            raise UsageError("poses: an array fits scans given as arrays. Give a file, or scans with their poses")
-        source, options = with_given_poses(source, options.poses), dataclasses.replace(options, poses=None)
+            raise UsageError(
+                "poses: an array fits scans given as arrays. Give a file, or scans with their poses"
+            )
+        source = with_given_poses(source, options.poses)
+        options = dataclasses.replace(options, poses=None)
     odometry = options.poses if options.poses is not None and is_odometry(options.poses) else None
     own = dataclasses.replace(options, poses=None) if odometry else options
     whole: Sequence | None = None
@@ -80,7 +87,8 @@ def open_source(
         if odometry is None:
             whole = _read(source, places, own)
             if estimate_missing and options.poses is None and without_poses(whole):
-                odometry, whole = DEFAULT, None
+                odometry = DEFAULT
+                whole = None
     except NoPoses:
         if not estimate_missing or options.poses is not None:
             raise
@@ -88,8 +96,13 @@ def open_source(
     estimated = None
     if odometry is not None:
         if len(places) > 1:
-            raise UsageError(f"--poses {odometry}: several drives need poses in one world frame. Clean them one by one")
-        text = places[0] if places else _read(source, places, dataclasses.replace(own, poses=NO_POSES))
+            raise UsageError(
+                f"--poses {odometry}: several drives need poses in one world frame. Clean them one "
+                "by one"
+            )
+        text = (
+            places[0] if places else _read(source, places, dataclasses.replace(own, poses=NO_POSES))
+        )
         estimated = estimate_poses(text, odometry, folder, options, progress)
         whole = with_estimated(text, estimated.file, options)
         opened = _selected(whole, dataclasses.replace(options, frames=None))
@@ -104,7 +117,9 @@ def open_source(
         odometry=f"{odometry} {estimated.version}" if estimated else "",
         poses_file=_relative(estimated.file, folder) if estimated else "",
     )
-    found = OpenedSequence(opened.whole, opened.positions, opened.sensor, opened.name, origin, estimated)
+    found = OpenedSequence(
+        opened.whole, opened.positions, opened.sensor, opened.name, origin, estimated
+    )
     return refined(found, folder, progress) if options.refine_poses else found
 
 
@@ -116,37 +131,56 @@ def refined(sequence: Sequence, folder: Path | None, progress: Progress = silent
 
 def _known(found: Sequence, opened: Sequence, origin: Origin) -> OpenedSequence:
     """All frames of a sequence, with the estimated poses of the opened one that it was made of."""
-    estimated = next((each.estimated for each in _layers(opened) if isinstance(each, OpenedSequence)), None)
+    estimated = next(
+        (each.estimated for each in _layers(opened) if isinstance(each, OpenedSequence)), None
+    )
     return OpenedSequence(found, range(len(found)), found.sensor, found.name, origin, estimated)
 
 
 def provenance(sequence: Sequence) -> Origin:
-    """Where a sequence came from, also if frames of it were selected, or its sensor or name replaced, after opening.
+    """Where a sequence came from, also if frames of it were selected, or its sensor or name
+    replaced, after opening.
 
     A sequence that was not opened by dynaviz has an origin without sources.
     """
     positions = range(len(sequence))
-    origin, known, total = Origin(format=type(base_of(sequence)).__name__), Sensor(), len(sequence)
+    origin = Origin(format=type(base_of(sequence)).__name__)
+    known = Sensor()
+    total = len(sequence)
     for layer in _layers(sequence):
         if isinstance(layer, OpenedSequence):
-            origin, known, total = layer.provenance, layer.sensor, len(layer)
+            origin = layer.provenance
+            known = layer.sensor
+            total = len(layer)
             if (inner := origin.positions) is not None:
-                positions, total = range(*inner)[positions.start : positions.stop : positions.step], -1
+                positions = range(*inner)[positions.start : positions.stop : positions.step]
+                total = -1
             break
         if isinstance(layer, SequenceSlice):
             positions = layer.positions[positions.start : positions.stop : positions.step]
             total = len(layer.whole)
     used = sequence.sensor
     names = [each.name for each in dataclasses.fields(Sensor)]
-    changed = [name for name in names if getattr(known, name) is None and getattr(used, name) is not None]
-    chosen = None if positions == range(total) else (positions.start, positions.stop, positions.step)
+    changed = [
+        name for name in names if getattr(known, name) is None and getattr(used, name) is not None
+    ]
+    chosen = (
+        None if positions == range(total) else (positions.start, positions.stop, positions.step)
+    )
     return msgspec.structs.replace(
-        origin, positions=chosen, name=sequence.name, sensor=used, estimated=(*origin.estimated, *changed)
+        origin,
+        positions=chosen,
+        name=sequence.name,
+        sensor=used,
+        estimated=(*origin.estimated, *changed),
     )
 
 
 def reopened(
-    origin: Origin, folder: Path | None = None, at: str | os.PathLike[str] | None = None, progress: Progress = silent
+    origin: Origin,
+    folder: Path | None = None,
+    at: str | os.PathLike[str] | None = None,
+    progress: Progress = silent,
 ) -> OpenedSequence:
     """Open the sequence of a run again: the same frames and poses, bit for bit.
 
@@ -162,7 +196,9 @@ def reopened(
     """
     pairs = zip(origin.absolute, origin.sources, strict=True)
     # The path as it was given serves if only that exists, as after a project moved with its data.
-    places = [given if not Path(path).exists() and Path(given).exists() else path for path, given in pairs]
+    places = [
+        given if not Path(path).exists() and Path(given).exists() else path for path, given in pairs
+    ]
     if at is not None:
         places = [os.fspath(at)]
     if not places:
@@ -184,13 +220,20 @@ def reopened(
 
 
 def absolute(text: str, base: Path = Path()) -> str:
-    """A source with an absolute path. A ``FORMAT:`` prefix is kept, and URLs and simulated scenes stay as they are."""
+    """A source with an absolute path.
+
+    A ``FORMAT:`` prefix is kept, and URLs and simulated scenes stay as they are.
+    """
     prefix, colon, rest = text.partition(":")
     if not colon or not prefix.isidentifier() or (base / text).exists():
         return os.path.abspath(base / text)
     if prefix == "simulate" or rest.startswith("//"):
         return text
-    return f"{prefix}:{absolute(rest, base)}" if ":" in rest else f"{prefix}:{os.path.abspath(base / rest)}"
+    return (
+        f"{prefix}:{absolute(rest, base)}"
+        if ":" in rest
+        else f"{prefix}:{os.path.abspath(base / rest)}"
+    )
 
 
 def _reselected(
@@ -199,16 +242,26 @@ def _reselected(
     """An open sequence with selected frames, another sensor, or refined poses."""
     names = ("poses", "points_in", "deskew", "extrinsic")
     if late := [name for name in names if getattr(options, name) is not None]:
-        raise UsageError(f"{', '.join(late)}: the sequence is already open. Give this to dynaviz.open")
+        raise UsageError(
+            f"{', '.join(late)}: the sequence is already open. Give this to dynaviz.open"
+        )
     chosen = _selected(sequence, options)
-    return refined(chosen, folder, progress) if options.refine_poses else _known(chosen, chosen, provenance(chosen))
+    return (
+        refined(chosen, folder, progress)
+        if options.refine_poses
+        else _known(chosen, chosen, provenance(chosen))
+    )
 
 
 def _places(source: Source) -> list[str]:
     """The paths of a source; none for scans in memory."""
     if isinstance(source, str | os.PathLike):
         return [os.fspath(source)]
-    if isinstance(source, list | tuple) and source and all(isinstance(each, str | os.PathLike) for each in source):
+    if (
+        isinstance(source, list | tuple)
+        and source
+        and all(isinstance(each, str | os.PathLike) for each in source)
+    ):
         return [os.fspath(each) for each in source]
     return []
 
@@ -217,7 +270,9 @@ def _read(source: Source, places: list[str], options: SequenceOptions) -> Sequen
     """All frames of a source."""
     if not places:
         assert not isinstance(source, str | os.PathLike | Sequence)
-        return ArraySequence.of(source, options.points_in, options.poses, options.extrinsic, options.deskew)
+        return ArraySequence.of(
+            source, options.points_in, options.poses, options.extrinsic, options.deskew
+        )
     drives = [open_sequence(place, poses=options.poses, **options.of_format) for place in places]
     return drives[0] if len(drives) == 1 else Drives.of(drives)
 

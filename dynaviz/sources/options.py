@@ -28,16 +28,19 @@ class SequenceOptions:
     Attributes:
         frames: ``A:B``, positions as in a Python slice.
         stride: use every N-th frame.
-        sensor: name of the sensor, if the data do not name it or are wrong (``dynaviz list sensors``), or a TOML file.
-        poses: for folders of scans, bags and arrays: a file with the sensor's poses (KITTI, TUM, CSV); for bags also a
-            topic, or the TF frame to use as the world frame. For every format: ``small-gicp`` or another odometry,
-            which estimates them once and keeps them in the folder of the run, or in ``recordings/SEQUENCE``.
-        points_in: for folders, bags and arrays: ``sensor`` or ``world``, the frame of the stored points.
+        sensor: name of the sensor, if the data do not name it or are wrong (``dynaviz list
+            sensors``), or a TOML file.
+        poses: for folders of scans, bags and arrays: a file with the sensor's poses (KITTI, TUM,
+            CSV); for bags also a topic, or the TF frame to use as the world frame. For every
+            format: ``small-gicp`` or another odometry, which estimates them once and keeps them in
+            the folder of the run, or in ``recordings/SEQUENCE``.
+        points_in: for folders, bags and arrays: ``sensor`` or ``world``, the frame of the stored
+            points.
         deskew: for bags: False disables motion compensation of sweeps whose points have times.
-        extrinsic: for folders, bags and arrays whose poses are those of a vehicle: the pose of the lidar on it,
-            ``X,Y,Z,ROLL,PITCH,YAW`` in metres and degrees, or a file with one pose.
-        refine_poses: register each scan to the scans around it (open3d), and use the refined poses. They are kept in
-            the folder of the run as ``poses_refined.csv``.
+        extrinsic: for folders, bags and arrays whose poses are those of a vehicle: the pose of the
+            lidar on it, ``X,Y,Z,ROLL,PITCH,YAW`` in metres and degrees, or a file with one pose.
+        refine_poses: register each scan to the scans around it (open3d), and use the refined poses.
+            They are kept in the folder of the run as ``poses_refined.csv``.
     """
 
     frames: str | None = None
@@ -68,7 +71,8 @@ class SequenceOptions:
         """The options on the command line."""
         words: list[str] = []
         for each in fields(self):
-            value, flag = getattr(self, each.name), f"--{each.name.replace('_', '-')}"
+            value = getattr(self, each.name)
+            flag = f"--{each.name.replace('_', '-')}"
             if value is False and each.default is None:
                 words.append(flag.replace("--", "--no-", 1))
             elif value != each.default:

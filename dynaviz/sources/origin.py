@@ -10,7 +10,8 @@ from dynaviz.sources.options import SequenceOptions
 
 
 class PoseNoise(Struct, frozen=True):
-    """Noise of poses between neighbouring frames, measured on planes (``dynaviz.sources.pose_noise``).
+    """Noise of poses between neighbouring frames, measured on planes
+    (``dynaviz.sources.pose_noise``).
 
     Attributes:
         translation_m: standard deviation of a frame's position along each axis, metres.
@@ -51,15 +52,21 @@ class PoseRefinement(Struct, frozen=True):
     def __str__(self) -> str:
         shift = f"{100 * self.median_m:.1f} cm (at most {100 * self.max_m:.1f} cm)"
         moved = f"moved by {shift} and {self.median_deg:.2f} degrees (at most {self.max_deg:.2f})"
-        return f"{moved}; noise {self.before} before, {self.after} after" if self.before and self.after else moved
+        return (
+            f"{moved}; noise {self.before} before, {self.after} after"
+            if self.before and self.after
+            else moved
+        )
 
 
 class PoseFinding(Struct, frozen=True):
-    """A finding of the doctor on poses, frames or units that is likely, from a few scans (``diagnosis.quick_check``).
+    """A finding of the doctor on poses, frames or units that is likely, from a few scans
+    (``diagnosis.quick_check``).
 
     Attributes:
         name, problem, fix: as in ``dynaviz.diagnosis.Finding``.
-        option: the option that fixes it, such as ``--points-in world``; empty if the data must be written again.
+        option: the option that fixes it, such as ``--points-in world``; empty if the data must be
+            written again.
     """
 
     name: str
@@ -72,18 +79,23 @@ class PoseFinding(Struct, frozen=True):
 
 
 class Origin(Struct, frozen=True, omit_defaults=True):
-    """Where the sequence of a run came from: enough to open the same frames with the same poses again.
+    """Where the sequence of a run came from.
+
+    Enough to open the same frames with the same poses again.
 
     Attributes:
-        sources: paths or URIs as they were given, such as ``drive.bag#/front`` or ``simulate:demo?seed=3``; several
-            for drives in one world frame; none for arrays in memory.
+        sources: paths or URIs as they were given, such as ``drive.bag#/front`` or
+            ``simulate:demo?seed=3``; several for drives in one world frame; none for arrays in
+            memory.
         absolute: the same with absolute paths.
         format: the class that read it.
         options: how it was opened.
         odometry: name and version of the odometry that estimated the poses; empty for given poses.
         poses_file: file with these poses, relative to the folder of the run if it is in there.
-        refined: whether poses were refined; they are in ``poses_refined.csv`` in the folder of the run.
-        positions: start, stop and step of the frames that were selected after opening; None for all.
+        refined: whether poses were refined; they are in ``poses_refined.csv`` in the folder of the
+            run.
+        positions: start, stop and step of the frames that were selected after opening; None for
+            all.
         name: of the sequence in tables.
         sensor: the facts of the sensor that the run used.
         estimated: names of those that were estimated from the scans.

@@ -1,9 +1,10 @@
 """Noise of poses, measured on static planes that several frames see.
 
-In each window of consecutive frames, points are grouped into small patches. Where the points of all frames form a
-plane, the mean height of one frame's points above the plane of the others shows that frame's error in the direction of
-the normal. The small motion (translation and rotation) of a frame that explains its heights best is its error relative
-to the other frames. Moving objects form no such planes, and their patches get little weight.
+In each window of consecutive frames, points are grouped into small patches. Where the points of all
+frames form a plane, the mean height of one frame's points above the plane of the others shows that
+frame's error in the direction of the normal. The small motion (translation and rotation) of a frame
+that explains its heights best is its error relative to the other frames. Moving objects form no
+such planes, and their patches get little weight.
 """
 
 from __future__ import annotations
@@ -22,12 +23,16 @@ from dynaviz.sources.origin import PoseNoise
 WINDOW = 8  # consecutive frames that are compared
 WINDOWS = 3  # spread over the sequence
 PATCH = 0.8  # metres; edge of a patch
-NEAREST, FARTHEST = 2.0, 40.0  # metres from the sensor
+# metres from the sensor
+NEAREST = 2.0
+FARTHEST = 40.0
 POINTS = 60_000  # of a scan, at most
 FEWEST_POINTS = 4  # of a frame in a patch
 FEWEST_FRAMES = 4  # of a patch
 THIN = 0.15  # metres; standard deviation across a patch, at most
-FLAT, WIDE = 0.2, 0.04  # second variance to third, at most; first to second, at least
+# second variance to third, at most; first to second, at least
+FLAT = 0.2
+WIDE = 0.04
 FEWEST_PATCHES = 30  # that a frame needs
 HUBER = 0.02  # metres; larger heights get less weight
 WEAK = 0.05  # metres; expected error, which decides in directions that no plane shows
@@ -46,7 +51,9 @@ def pose_noise(sequence: ScanSequence) -> PoseNoise | None:
 
 
 class PoseNoiseMeter:
-    """Measures the noise of poses while a sequence is read in order; it keeps the scans of one window at a time.
+    """Measures the noise of poses while a sequence is read in order.
+
+    It keeps the scans of one window at a time.
 
     Args:
         frames: number of frames of the sequence.
@@ -62,11 +69,14 @@ class PoseNoiseMeter:
         self._found: list[Motion] = []
 
     def add(self, position: int, scan: Scan) -> None:
-        """Add a scan; those at other positions than ``needed`` are ignored, and windows that lack a scan."""
+        """Add a scan; those at other positions than ``needed`` are ignored, and windows that lack a
+        scan.
+        """
         if position not in self.needed or self._length < FEWEST_FRAMES:
             return
         before = self._scans[1 - self._length :] if position == self._last + 1 else []
-        self._scans, self._last = [*before, scan], position
+        self._scans = [*before, scan]
+        self._last = position
         if position in self._ends and len(self._scans) == self._length:
             self._found += window_errors(self._scans)
 
@@ -74,13 +84,20 @@ class PoseNoiseMeter:
         """The noise, from the scans so far; None if too few planes are seen."""
         if len(self._found) < FEWEST_FRAMES:
             return None
-        squares = np.sum([each.error**2 - each.variance for each in self._found], axis=0).reshape(2, 3).sum(1)
+        squares = (
+            np.sum([each.error**2 - each.variance for each in self._found], axis=0)
+            .reshape(2, 3)
+            .sum(1)
+        )
         shown = np.sum([each.resolution**2 for each in self._found], axis=0).reshape(2, 3).sum(1)
         variances = squares / shown
-        # A frame is compared with others that have errors, too, so differences vary more than errors.
+        # A frame is compared with others that have errors, too, so differences vary more than
+        # errors.
         shift, turn = np.sqrt(np.maximum(variances * (self._length - 1) / self._length, 0.0))
         patches = int(np.median([each.patches for each in self._found]))
-        return PoseNoise(round(float(shift), 4), round(float(np.degrees(turn)), 3), patches, len(self._found))
+        return PoseNoise(
+            round(float(shift), 4), round(float(np.degrees(turn)), 3), patches, len(self._found)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +105,11 @@ class Motion:
     """The error of a frame's pose relative to its neighbours.
 
     Attributes:
-        error: (6,) float64: translation in metres and rotation vector in radians about the sensor, world axes.
+        error: (6,) float64: translation in metres and rotation vector in radians about the sensor,
+            world axes.
         variance: (6,) float64: what range noise adds to the squares of these numbers.
-        resolution: (6,) float64: how well planes show each of them, 0 to 1; the error is smaller by this factor.
+        resolution: (6,) float64: how well planes show each of them, 0 to 1; the error is smaller by
+            this factor.
         patches: number of patches.
     """
 
@@ -101,7 +120,9 @@ class Motion:
 
 
 def window_errors(scans: Sequence[Scan]) -> list[Motion]:
-    """Errors of the poses of consecutive scans with enough patches, each relative to the other scans."""
+    """Errors of the poses of consecutive scans with enough patches, each relative to the other
+    scans.
+    """
     middle = np.mean([scan.position for scan in scans], axis=0)
     patches = Patches.of(scans, middle)
     found = []
@@ -133,16 +154,28 @@ class Patches:
     @classmethod
     def of(cls, scans: Sequence[Scan], middle: F64) -> Patches:
         """Patches of scans, relative to a place near them, (3,) metres."""
-        points, frames = zip(*(_points(scan, frame, middle) for frame, scan in enumerate(scans)), strict=True)
-        xyz, frame = np.concatenate(points), np.concatenate(frames)
+        points, frames = zip(
+            *(_points(scan, frame, middle) for frame, scan in enumerate(scans)), strict=True
+        )
+        xyz = np.concatenate(points)
+        frame = np.concatenate(frames)
         x, y, z = (np.floor(column / PATCH).astype(np.int64) + 2**15 for column in xyz.T)
         _, patch = np.unique(x << 34 | y << 17 | z, return_inverse=True)
-        of_all = np.bincount(patch * len(scans) + frame, minlength=(patch.max(initial=-1) + 1) * len(scans))
+        of_all = np.bincount(
+            patch * len(scans) + frame, minlength=(patch.max(initial=-1) + 1) * len(scans)
+        )
         enough = (of_all.reshape(-1, len(scans)) >= FEWEST_POINTS).sum(1) >= FEWEST_FRAMES
         chosen = enough[patch]
-        xyz, frame, patch = xyz[chosen], frame[chosen], (np.cumsum(enough) - 1)[patch[chosen]]
-        number, key = int(enough.sum()), patch * len(scans) + frame
-        counts = np.bincount(key, minlength=number * len(scans)).reshape(number, len(scans)).astype(np.float64)
+        xyz = xyz[chosen]
+        frame = frame[chosen]
+        patch = (np.cumsum(enough) - 1)[patch[chosen]]
+        number = int(enough.sum())
+        key = patch * len(scans) + frame
+        counts = (
+            np.bincount(key, minlength=number * len(scans))
+            .reshape(number, len(scans))
+            .astype(np.float64)
+        )
         sums = np.stack([np.bincount(key, each, number * len(scans)) for each in xyz.T], axis=1)
         means = sums.reshape(number, len(scans), 3) / np.maximum(counts, 1)[:, :, None]
         total = np.maximum(counts.sum(1), 1)
@@ -150,26 +183,39 @@ class Patches:
         away = xyz - centre[patch]
         products = np.empty((number, 3, 3))
         for i, j in itertools.combinations_with_replacement(range(3), 2):
-            products[:, i, j] = products[:, j, i] = np.bincount(patch, away[:, i] * away[:, j], number) / total
+            products[:, i, j] = products[:, j, i] = (
+                np.bincount(patch, away[:, i] * away[:, j], number) / total
+            )
         values, vectors = np.linalg.eigh(products)
-        planar = (values[:, 0] < THIN**2) & (values[:, 0] < FLAT * values[:, 1]) & (values[:, 1] > WIDE * values[:, 2])
+        planar = (
+            (values[:, 0] < THIN**2)
+            & (values[:, 0] < FLAT * values[:, 1])
+            & (values[:, 1] > WIDE * values[:, 2])
+        )
         return cls(counts, means, vectors[:, :, 0], planar)
 
     def heights(self, frame: int, seen: Bool) -> tuple[F64, F64, F64]:
-        """Mean height of a frame's points above those of the other frames, (K,) metres; normals; centres, (K, 3)."""
+        """Mean height of a frame's points above those of the other frames, (K,) metres; normals.
+
+        Centres, (K, 3).
+        """
         rows = np.flatnonzero(seen & self.planar)
         weights = (self.counts[rows] >= FEWEST_POINTS).astype(np.float64)
         weights[:, frame] = 0.0
         others = (weights[:, :, None] * self.means[rows]).sum(1) / weights.sum(1)[:, None]
-        own, normals = self.means[rows, frame], self.normals[rows]
+        own = self.means[rows, frame]
+        normals = self.normals[rows]
         return ((own - others) * normals).sum(1), normals, own
 
 
 def _points(scan: Scan, frame: int, middle: F64) -> tuple[F64, F64]:
-    """Points at usable ranges, (N, 3) metres relative to the middle, and the frame's number, (N,)."""
+    """Points at usable ranges, (N, 3) metres relative to the middle, and the frame's
+    number, (N,).
+    """
     with np.errstate(invalid="ignore", over="ignore"):
         squares = scan.squared_ranges()
-        rows = np.flatnonzero((squares > NEAREST**2) & (squares < FARTHEST**2))  # false for non-finite points
+        # false for non-finite points
+        rows = np.flatnonzero((squares > NEAREST**2) & (squares < FARTHEST**2))
     rows = rows[:: max(1, len(rows) // POINTS)]
     return scan.points[rows] - middle, np.full(len(rows), frame)
 
@@ -184,7 +230,9 @@ def _motion(heights: F64, normals: F64, arms: F64) -> Motion:
     """
     A = np.hstack([normals, np.cross(arms, normals)])
     prior = np.diag([1 / WEAK**2] * 3 + [1 / np.radians(2.0) ** 2] * 3)
-    x, data, scale = np.zeros(6), np.zeros((6, 6)), HUBER
+    x = np.zeros(6)
+    data = np.zeros((6, 6))
+    scale = HUBER
     for _ in range(5):
         left = heights - A @ x
         scale = max(1.4826 * float(np.median(np.abs(left))), 1e-4)

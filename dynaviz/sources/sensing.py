@@ -1,4 +1,7 @@
-"""Estimate the facts of an unknown sensor from its scans: height, rows, field of view, range and rate."""
+"""Estimate the facts of an unknown sensor from its scans.
+
+Height, rows, field of view, range and rate.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,9 @@ BEYOND = 20.0  # metres; range at which lasers 0.2 m apart differ by 0.6 degrees
 AROUND_SCAN = 2  # scans before and after a scan that show how the sensor moves
 PARALLAX = 4.0  # degrees; by which lasers 0.2 m apart differ at 3 m
 TICK = 100_000  # nanoseconds; a vehicle that turns by 60 degrees per second turns by 0.006 degrees
-SAME_PLACE, MOST_LIDARS = 0.03, 8  # metres between the starts of two rays of one lidar; lidars on a vehicle
+# metres between the starts of two rays of one lidar; lidars on a vehicle
+SAME_PLACE = 0.03
+MOST_LIDARS = 8
 FEWEST_RAYS = 0.05  # share of the rays that a lidar has at least
 
 
@@ -40,8 +45,8 @@ class ScanRays:
     Attributes:
         ends: (N, 3) float64, metres: points as seen from the origins of their rays.
         ranges, elevations, azimuths: (N,) float64, metres and degrees.
-        lidars: (N,) int: number of the lidar that measured the point, if several were merged into one scan; from the
-            places on the vehicle where rays start.
+        lidars: (N,) int: number of the lidar that measured the point, if several were merged into
+            one scan; from the places on the vehicle where rays start.
     """
 
     ends: F64
@@ -56,12 +61,15 @@ class ScanRays:
 
         Args:
             scan: the scan.
-            path: poses of the sensor during the scan by time, nanoseconds: a vehicle that pitches turns its rays
-                within a sweep. None to use the pose of the scan for all points.
+            path: poses of the sensor during the scan by time, nanoseconds: a vehicle that pitches
+                turns its rays within a sweep. None to use the pose of the scan for all points.
         """
-        T, of = scan.T_world_sensor[None], np.zeros(len(scan), np.intp)
+        T = scan.T_world_sensor[None]
+        of = np.zeros(len(scan), np.intp)
         if path is not None and scan.times is not None and scan.stamp_ns is not None:
-            moments = scan.stamp_ns + np.round(np.nan_to_num(scan.times.astype(np.float64)) * 1e9).astype(np.int64)
+            moments = scan.stamp_ns + np.round(
+                np.nan_to_num(scan.times.astype(np.float64)) * 1e9
+            ).astype(np.int64)
             ticks, of = np.unique(moments // TICK, return_inverse=True)
             T = path.at(ticks * TICK)
         with np.errstate(invalid="ignore", over="ignore"):
@@ -69,9 +77,16 @@ class ScanRays:
             starts = np.einsum("nji,nj->ni", T[of, :3, :3], scan.origins - T[of, :3, 3])
             ranges = np.sqrt((ends * ends).sum(1))
         chosen = np.isfinite(ranges) & (ranges > 0.1)
-        ends, ranges = ends[chosen], ranges[chosen]
+        ends = ends[chosen]
+        ranges = ranges[chosen]
         elevations = np.degrees(np.arcsin(np.clip(ends[:, 2] / ranges, -1, 1)))
-        return cls(ends, ranges, elevations, np.degrees(np.arctan2(ends[:, 1], ends[:, 0])), _lidars(starts[chosen]))
+        return cls(
+            ends,
+            ranges,
+            elevations,
+            np.degrees(np.arctan2(ends[:, 1], ends[:, 0])),
+            _lidars(starts[chosen]),
+        )
 
 
 def _lidars(starts: F64) -> Intp:
@@ -89,18 +104,23 @@ def _lidars(starts: F64) -> Intp:
 
 
 def estimate_sensor(sequence: Sequence) -> Sensor:
-    """Estimate the facts of the sensor of a sequence from a few of its scans; None where they do not show.
+    """Estimate the facts of the sensor of a sequence from a few of its scans.
 
-    Rows are the attribute ``ring`` if points have it, otherwise jumps of the azimuth in the order of the points, or
-    peaks in the elevations; of several lidars, those of the one that has the most. The height is the distance of the
-    sensor from the plane of the ground around it.
+    None where they do not show.
+
+    Rows are the attribute ``ring`` if points have it, otherwise jumps of the azimuth in the order
+    of the points, or peaks in the elevations; of several lidars, those of the one that has the
+    most. The height is the distance of the sensor from the plane of the ground around it.
 
     Raises:
         DataError: for data that cannot be read.
     """
     timed = sequence[0].times is not None
-    skipped = min(AROUND_SCAN, (len(sequence) - 1) // 2) if timed else 0  # scans with a path on both sides
-    positions = np.unique(np.linspace(skipped, len(sequence) - 1 - skipped, SAMPLES).astype(int)).tolist()
+    # scans with a path on both sides
+    skipped = min(AROUND_SCAN, (len(sequence) - 1) // 2) if timed else 0
+    positions = np.unique(
+        np.linspace(skipped, len(sequence) - 1 - skipped, SAMPLES).astype(int)
+    ).tolist()
     scans = [sequence[k] for k in positions]
     paths = [_path(sequence, k, scan) for k, scan in zip(positions, scans, strict=True)]
     rays = [ScanRays.of(scan, path) for scan, path in zip(scans, paths, strict=True)]
@@ -120,7 +140,9 @@ def estimate_sensor(sequence: Sequence) -> Sensor:
         min_range=round(float(np.percentile(ranges, 0.1)), 2),
         max_range=round(float(ranges.max()), 1),
         rate=_rate(sequence, positions),
-        points_per_sweep=None if rows else round(float(np.mean([len(each.ranges) for each in rays]))),
+        points_per_sweep=None
+        if rows
+        else round(float(np.mean([len(each.ranges) for each in rays]))),
     )
 
 
@@ -128,7 +150,12 @@ def _path(sequence: Sequence, position: int, scan: Scan) -> Trajectory | None:
     """Poses from the scan before to the one after; None if points have no times."""
     if scan.times is None or not len(scan) or not np.ptp(np.nan_to_num(scan.times)):
         return None
-    near = [sequence[k] for k in range(max(position - AROUND_SCAN, 0), min(position + AROUND_SCAN + 1, len(sequence)))]
+    near = [
+        sequence[k]
+        for k in range(
+            max(position - AROUND_SCAN, 0), min(position + AROUND_SCAN + 1, len(sequence))
+        )
+    ]
     stamps = [each.stamp_ns for each in near]
     if None in stamps or len(set(stamps)) < 3:
         return None
@@ -140,15 +167,21 @@ def sentence(sensor: Sensor) -> str:
     parts = [
         None if sensor.height is None else f"{sensor.height:.2f} m above the ground",
         "no rows" if sensor.rings is None else f"{sensor.rings} rows",
-        None if sensor.elevation is None else f"from {sensor.elevation[0]:.1f} to {sensor.elevation[1]:.1f} degrees",
-        None if sensor.azimuth == (-180.0, 180.0) else f"azimuth {sensor.azimuth[0]:.0f} to {sensor.azimuth[1]:.0f}",
+        None
+        if sensor.elevation is None
+        else f"from {sensor.elevation[0]:.1f} to {sensor.elevation[1]:.1f} degrees",
+        None
+        if sensor.azimuth == (-180.0, 180.0)
+        else f"azimuth {sensor.azimuth[0]:.0f} to {sensor.azimuth[1]:.0f}",
         None if sensor.max_range is None else f"up to {sensor.max_range:.0f} m",
         None if sensor.rate is None else f"{sensor.rate:.1f} Hz",
     ]
     return ", ".join(part for part in parts if part)
 
 
-def with_needed_facts(begin: Callable[[Scan, Sensor], Any], sequence: Sequence, uses: tuple[str, ...] = ()) -> Sequence:
+def with_needed_facts(
+    begin: Callable[[Scan, Sensor], Any], sequence: Sequence, uses: tuple[str, ...] = ()
+) -> Sequence:
     """The sequence with a sensor that a method can begin with, before the sequence is read.
 
     Args:
@@ -157,7 +190,8 @@ def with_needed_facts(begin: Callable[[Scan, Sensor], Any], sequence: Sequence, 
         uses: facts that it can begin without, but should have.
 
     Returns:
-        The same sequence, or one whose sensor has estimates in place of missing facts; then a warning states them.
+        The same sequence, or one whose sensor has estimates in place of missing facts; then a
+        warning states them.
 
     Raises:
         UsageError: if the method lacks a fact that cannot be estimated.
@@ -179,7 +213,9 @@ def with_needed_facts(begin: Callable[[Scan, Sensor], Any], sequence: Sequence, 
     if all(value is None for value in facts.values()):
         return sequence
     text = f"the sensor is unknown; estimated from the scans: {sentence(found)}"
-    warnings.warn(addressed(f"{text}. Give the true values with --sensor NAME or FILE.toml"), stacklevel=3)
+    warnings.warn(
+        addressed(f"{text}. Give the true values with --sensor NAME or FILE.toml"), stacklevel=3
+    )
     return select_frames(sequence, sensor=estimated)
 
 
@@ -200,7 +236,10 @@ def _rows(sequence: Sequence, positions: list[int], rays: list[ScanRays]) -> int
 
 
 def _agreed(rays: list[ScanRays]) -> int | None:
-    """Number of peaks in the elevations of a lidar, if it is the same in most scans; of the lidar that has the most."""
+    """Number of peaks in the elevations of a lidar, if it is the same in most scans.
+
+    Of the lidar that has the most.
+    """
     counts = []
     for each in rays:
         found = [_peaks(each.elevations[each.lidars == lidar]) for lidar in np.unique(each.lidars)]
@@ -210,18 +249,26 @@ def _agreed(rays: list[ScanRays]) -> int | None:
 
 
 def _wraps(rays: ScanRays) -> int | None:
-    """Number of turns of the azimuth in the order of the points, for files that store one row after the other."""
+    """Number of turns of the azimuth in the order of the points, for files that store one row after
+    the other.
+    """
     step = (np.diff(rays.azimuths) + 180) % 360 - 180
     if not len(step) or np.percentile(np.abs(step), 99) > 30 or np.median(np.abs(step)) > 2:
         return None
     turns = abs(float(step.sum())) / 360
     rows = round(turns)
-    return rows if 3 < rows < MOST_ROWS and abs(turns - rows) < 0.3 and len(step) / rows > 100 else None
+    return (
+        rows
+        if 3 < rows < MOST_ROWS and abs(turns - rows) < 0.3 and len(step) / rows > 100
+        else None
+    )
 
 
 def _peaks(elevations: F64) -> int | None:
     """Number of separate peaks in the histogram of elevations; None if they overlap."""
-    counts = np.bincount(np.round((elevations + 90) / BIN).astype(int), minlength=int(180 / BIN) + 1)
+    counts = np.bincount(
+        np.round((elevations + 90) / BIN).astype(int), minlength=int(180 / BIN) + 1
+    )
     smooth = np.convolve(counts, np.ones(5), "same")
     around = np.lib.stride_tricks.sliding_window_view(np.pad(smooth, 6), 13)
     peaks = np.flatnonzero((smooth == around.max(1)) & (smooth > around[:, :6].max(1)))
@@ -234,27 +281,36 @@ def _peaks(elevations: F64) -> int | None:
 
 
 def _ends(elevations: F64, ranges: F64, stray: float) -> tuple[float, float]:
-    """Lowest and highest elevation at which more than stray points lie; their share at each end is in percent.
+    """Lowest and highest elevation at which more than stray points lie.
 
-    Where rows overlap, lasers are mounted at different heights, as in a HDL-64E: near points are then seen at higher
-    elevations than the beam has. The highest beam shows at far points.
+    Their share at each end is in percent.
+
+    Where rows overlap, lasers are mounted at different heights, as in a HDL-64E: near points are
+    then seen at higher elevations than the beam has. The highest beam shows at far points.
     """
     low, high = np.percentile(elevations, [stray, 100 - stray])
     far = elevations[ranges > BEYOND]
     if len(far) > 1000 and _peaks(elevations) is None:
         beam = np.percentile(far, 100 - stray)
-        high = beam if high - beam < PARALLAX else high  # a sensor that sees the sky has no far points there
+        # a sensor that sees the sky has no far points there
+        high = beam if high - beam < PARALLAX else high
     return float(low), float(high)
 
 
 def height_of(rays: ScanRays) -> float | None:
-    """Distance of the sensor from the plane of the ground, metres; None if too little of it is seen."""
+    """Distance of the sensor from the plane of the ground, metres.
+
+    None if too little of it is seen.
+    """
     height, shown = sensor_height(rays.ends)
     return height if shown else None
 
 
 def _azimuth(azimuths: F64) -> tuple[float, float]:
-    """Start and end of the horizontal field of view, degrees; all around unless a sector of 20 degrees is empty."""
+    """Start and end of the horizontal field of view, degrees.
+
+    All around unless a sector of 20 degrees is empty.
+    """
     counts = np.bincount((np.floor(azimuths).astype(int) + 180) % 360, minlength=360)
     filled = np.flatnonzero(counts > 0.05 * counts.mean())
     gaps = np.diff(filled, append=filled[0] + 360)
@@ -271,7 +327,8 @@ def _rate(sequence: Sequence, positions: list[int]) -> float | None:
     steps = []
     for k in positions:
         if k + 1 < len(sequence):
-            first, second = sequence[k].stamp_ns, sequence[k + 1].stamp_ns
+            first = sequence[k].stamp_ns
+            second = sequence[k + 1].stamp_ns
             if first is not None and second is not None and second > first:
                 steps.append(second - first)
     return round(1e9 / float(np.median(steps)), 2) if steps else None

@@ -31,11 +31,13 @@ class ScanDigest:
 
 @dataclass(frozen=True)
 class SequenceSummary:
-    """What one pass over a sequence finds: extent, number of frames and points, and a digest of the content.
+    """What one pass over a sequence finds.
 
-    The digest covers points, poses, ray origins and labels of all frames in order: two runs can be compared point by
-    point exactly if their digests agree. ``pose_noise`` is None if it was not measured, or too few planes are seen.
-    ``seconds`` is what the pass took; 0 if unknown.
+    Extent, number of frames and points, and a digest of the content.
+
+    The digest covers points, poses, ray origins and labels of all frames in order: two runs can be
+    compared point by point exactly if their digests agree. ``pose_noise`` is None if it was not
+    measured, or too few planes are seen. ``seconds`` is what the pass took; 0 if unknown.
     """
 
     extent: Extent
@@ -47,7 +49,9 @@ class SequenceSummary:
 
 
 def summarize(
-    sequence: Sequence, progress: Callable[[int], None] = lambda done: None, meter: PoseNoiseMeter | None = None
+    sequence: Sequence,
+    progress: Callable[[int], None] = lambda done: None,
+    meter: PoseNoiseMeter | None = None,
 ) -> SequenceSummary:
     """Read a sequence once, frame by frame.
 
@@ -57,9 +61,13 @@ def summarize(
         meter: measures the noise of poses in the same pass, which takes up to a second.
 
     Raises:
-        DynavizError: for points or ray origins farther than ``dynaviz.contracts.extent.FAR`` from the world's origin.
+        DynavizError: for points or ray origins farther than ``dynaviz.contracts.extent.FAR`` from
+            the world's origin.
     """
-    begin, growing, digest, points = time.perf_counter(), GrowingExtent(), ScanDigest(), 0
+    begin = time.perf_counter()
+    growing = GrowingExtent()
+    digest = ScanDigest()
+    points = 0
     for done, scan in enumerate(stream(sequence), 1):
         growing.add(scan)
         digest.add(scan)
@@ -69,4 +77,6 @@ def summarize(
         progress(done)
     noise = meter.result() if meter else None
     seconds = time.perf_counter() - begin
-    return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest(), noise, seconds)
+    return SequenceSummary(
+        growing.extent(), len(sequence), points, digest.hexdigest(), noise, seconds
+    )

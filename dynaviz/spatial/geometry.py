@@ -1,4 +1,7 @@
-"""Rigid transforms and quaternions. Elementwise float64, so results are bit-identical on every machine."""
+"""Rigid transforms and quaternions.
+
+Elementwise float64, so results are bit-identical on every machine.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,8 @@ def inverse(T_a_b: ArrayLike) -> F64:
 
 def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> F64:
     """The product T_a_c, (..., 4, 4) float64; elementwise, as in ``apply``."""
-    A, B = np.asarray(T_a_b, np.float64), np.asarray(T_b_c, np.float64)
+    A = np.asarray(T_a_b, np.float64)
+    B = np.asarray(T_b_c, np.float64)
     T: F64 = (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
     return T
 
@@ -35,7 +39,8 @@ def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> F64:
 def apply(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F64:
     """Transform points to another frame.
 
-    Computed one coordinate at a time, because the bits of a matrix product depend on machine and threads.
+    Computed one coordinate at a time, because the bits of a matrix product depend on machine and
+    threads.
 
     Args:
         T_a_b: (4, 4) or (3, 4) float64, metres.
@@ -60,7 +65,8 @@ def transform(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F32:
 
 
 def pose(position: ArrayLike, quaternion: ArrayLike) -> F64:
-    """T_a_b, (4, 4) float64, from the position of b in a, (3,) metres, and its orientation (qw, qx, qy, qz).
+    """T_a_b, (4, 4) float64, from the position of b in a, (3,) metres, and its orientation (qw, qx,
+    qy, qz).
 
     Raises:
         ValueError: as ``matrix``, and if the position is not finite.
@@ -83,7 +89,8 @@ def matrix(quaternion: ArrayLike) -> F64:
         (3, 3) float64.
 
     Raises:
-        ValueError: if the largest component is not between 1e-6 and 1e6, or a component is not finite.
+        ValueError: if the largest component is not between 1e-6 and 1e6, or a component is not
+            finite.
     """
     q = np.asarray(quaternion, np.float64)
     if not 1e-6 < np.abs(q).max() < 1e6:  # also false for non-finite values
@@ -115,7 +122,8 @@ def rotation_problem(R: ArrayLike) -> str | None:
 def quaternion(R: ArrayLike) -> F64:
     """(4,) float64 unit quaternion (qw, qx, qy, qz), qw >= 0, of a rotation matrix (3, 3).
 
-    The largest component is computed first and divides the others, which avoids cancellation (Shepperd 1978).
+    The largest component is computed first and divides the others, which avoids cancellation
+    (Shepperd 1978).
     """
     R = np.asarray(R, np.float64)
     trace = R[0, 0] + R[1, 1] + R[2, 2]

@@ -1,7 +1,8 @@
 """Packed voxel keys and sets of them; wraps the voxel kernels.
 
-A voxel of edge ``size`` has the integer index floor(p / size) per axis. The three indices are packed into one int64 of
-three times 21 bits, so a world may span a million voxels to each side of its origin.
+A voxel of edge ``size`` has the integer index floor(p / size) per axis. The three indices are
+packed into one int64 of three times 21 bits, so a world may span a million voxels to each side of
+its origin.
 """
 
 from __future__ import annotations
@@ -31,14 +32,18 @@ def pack(points: F32 | F64, size: float) -> I64:
     keys, ok = kernels.voxels.pack(kernels.as_readonly(points, np.float32), float(size))
     if not ok:
         raise ValueError(
-            f"points must be finite and within {REACH * size:.0f} m of the world's origin for {size} m voxels"
+            f"points must be finite and within {REACH * size:.0f} m of the world's origin for "
+            f"{size} m voxels"
         )
     return keys  # type: ignore[no-any-return]
 
 
 def in_key_range(points: F32 | F64, size: float) -> Bool:
-    """(N,) bool: whether each of (N, 3) points, metres, is finite and within the key range of this voxel size."""
-    limit, near = REACH * size, np.ones(len(points), np.bool_)
+    """(N,) bool: whether each of (N, 3) points, metres, is finite and within the key range of this
+    voxel size.
+    """
+    limit = REACH * size
+    near = np.ones(len(points), np.bool_)
     for axis in range(3):  # columns are much faster than rows
         near &= np.abs(points[:, axis]) < limit
     return near
@@ -50,7 +55,10 @@ def unpack(keys: I64) -> I32:
 
 
 def pack_indices(indices: I32 | I64) -> I64:
-    """(N,) int64 packed keys of voxel indices (N, 3), within the key range: the inverse of ``unpack``."""
+    """(N,) int64 packed keys of voxel indices (N, 3), within the key range.
+
+    The inverse of ``unpack``.
+    """
     keys: I64 = ((indices.astype(np.int64) + REACH) << SHIFTS).sum(1)
     return keys
 
@@ -85,7 +93,8 @@ class KeySet:
             Those of the rows that are the first in a new voxel, in their order.
         """
         self._make_room(len(rows))
-        points, rows = kernels.as_readonly(points, np.float32), kernels.as_readonly(rows, np.int64)
+        points = kernels.as_readonly(points, np.float32)
+        rows = kernels.as_readonly(rows, np.int64)
         first: I64 = kernels.drawing.in_new_voxels(self._slots, points, rows, middle, float(size))
         self._count += len(first)
         return first

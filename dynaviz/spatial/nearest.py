@@ -1,10 +1,12 @@
 """Exact nearest-neighbour distances with a bounding-box tree over points in Morton order.
 
-A k-d tree answers each query on its own. Here queries are sorted as well, so each one starts from its predecessor's
-neighbour and almost every branch is pruned at once (tree: Lauterbach et al., Fast BVH construction on GPUs, 2009).
+A k-d tree answers each query on its own. Here queries are sorted as well, so each one starts from
+its predecessor's neighbour and almost every branch is pruned at once (tree: Lauterbach et al., Fast
+BVH construction on GPUs, 2009).
 
-All arithmetic is float32 in a fixed order, as in the public benchmark's export (PCL): the square root of
-dx² + dy² + dz² is compared with the limit as a float32. A point exactly at the limit is within it.
+All arithmetic is float32 in a fixed order, as in the public benchmark's export (PCL): the square
+root of dx² + dy² + dz² is compared with the limit as a float32. A point exactly at the limit is
+within it.
 """
 
 from __future__ import annotations
@@ -51,7 +53,10 @@ class Nearest:
         return np.where(squared <= last, np.sqrt(squared), np.float32(np.inf))
 
     def within(self, query: F32, limit: float) -> Bool:
-        """(N,) bool: whether ``distance(query, limit)`` is finite. Faster: any point within the limit will do."""
+        """(N,) bool: whether ``distance(query, limit)`` is finite. Faster.
+
+        Any point within the limit will do.
+        """
         last = _last_square(limit)
         near: Bool = self._search(query, last, last) <= last
         return near
@@ -64,7 +69,9 @@ class Nearest:
             with np.errstate(over="ignore"):
                 reach = np.nextafter(last, np.float32(np.inf))
             search = partial(kernels.nearest.search, self._points, self._tree, reach, enough)
-            squared[order] = np.concatenate(kernels.each(search, np.array_split(ordered, kernels.threads_in_use())))
+            squared[order] = np.concatenate(
+                kernels.each(search, np.array_split(ordered, kernels.threads_in_use()))
+            )
         return squared
 
 
@@ -74,12 +81,19 @@ def _last_square(limit: float) -> np.float32:
         r = np.float32(limit)
         near = [r * r]
         for _ in range(3):  # rounding changes the square by less
-            near = [np.nextafter(near[0], np.float32(0)), *near, np.nextafter(near[-1], np.float32(np.inf))]
+            near = [
+                np.nextafter(near[0], np.float32(0)),
+                *near,
+                np.nextafter(near[-1], np.float32(np.inf)),
+            ]
     return max(square for square in near if np.sqrt(square) <= r)
 
 
 def nearest_distance(query: F32, reference: F32, limit: float = np.inf) -> F32:
-    """Distance from each point to the nearest reference point, for a single query; see ``Nearest.distance``."""
+    """Distance from each point to the nearest reference point, for a single query.
+
+    See ``Nearest.distance``.
+    """
     if len(query) == 0 or len(reference) == 0:
         return np.full(len(query), np.inf, np.float32)
     return Nearest(reference).distance(query, limit)

@@ -23,10 +23,17 @@ def load(purpose: str) -> Any:
     try:
         import open3d
     except ModuleNotFoundError as error:
-        raise MissingDependency(f"{purpose} needs {error.name}. Install it with: pip install open3d") from None
-    except (ImportError, OSError) as error:
-        install = f"apt-get install {LINUX}" if sys.platform == "linux" else "pip install --force-reinstall open3d"
         raise MissingDependency(
-            f"{purpose} needs open3d, which cannot be loaded: {error}. Install what it needs with: {install}"
+            f"{purpose} needs {error.name}. Install it with: pip install open3d"
+        ) from None
+    except (ImportError, OSError) as error:
+        install = (
+            f"apt-get install {LINUX}"
+            if sys.platform == "linux"
+            else "pip install --force-reinstall open3d"
+        )
+        raise MissingDependency(
+            f"{purpose} needs open3d, which cannot be loaded: {error}. Install what it needs with: "
+            f"{install}"
         ) from None
     return open3d

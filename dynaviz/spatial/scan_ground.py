@@ -1,4 +1,7 @@
-"""The ground of a scan, from this scan alone: neither other scans, nor drift, nor other floors can change it."""
+"""The ground of a scan, from this scan alone.
+
+Neither other scans, nor drift, nor other floors can change it.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,18 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I16, I64, U8
 
 EDGE = 0.8  # metres: edge of a cell
-REACH = 64  # cells to each side of the sensor; points beyond are measured from the ground at the border
+REACH = (
+    64  # cells to each side of the sensor; points beyond are measured from the ground at the border
+)
 NEAR = 30.0  # metres around the sensor: ground up to here decides what level is under it
 LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
-PIT = 2 * LAYER  # metres: what is lower by more, a layer in between, than most cells around is a reflection
-SLOPE = 0.1  # metres per metre: maximum incline of the ground of a scan, and its maximum slope beyond that incline
-STEEP = 2 * SLOPE  # both of them: steepest ground, as seen from the sensor; steeper are objects and reflections
+# metres: what is lower by more, a layer in between, than most cells around is a reflection
+PIT = 2 * LAYER
+# metres per metre: maximum incline of the ground of a scan, and its maximum slope beyond that
+# incline
+SLOPE = 0.1
+# both of them: steepest ground, as seen from the sensor; steeper are objects and reflections
+STEEP = 2 * SLOPE
 EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
 FULL = 5  # points: cells with fewer count less
 ROUNDS = 5  # iterations of a fit
@@ -28,7 +37,8 @@ class ScanGround:
     """The ground that one scan shows.
 
     Attributes:
-        height: (X, X) int16, millimetres above the sensor, of square cells of ``EDGE``; 32767 if no ground is known.
+        height: (X, X) int16, millimetres above the sensor, of square cells of ``EDGE``; 32767 if no
+            ground is known.
         number: (X, X) uint8: points of the scan on the ground, at most 255.
         first: (2,) int64: the first cell, counted from the world's origin.
         z: metres, world frame: height of the sensor.
@@ -41,53 +51,80 @@ class ScanGround:
 
     @classmethod
     def of(cls, points: F32, position: F64, reach: int = REACH) -> ScanGround:
-        """The ground around the sensor, grown from the level below it: the lowest layers that slopes can reach.
+        """The ground around the sensor, grown from the level below it.
+
+        The lowest layers that slopes can reach.
 
         Args:
             points: (N, 3) float32, metres, world frame, z up: of one scan.
             position: (3,) float64, metres, world frame: the sensor's.
             reach: cells to each side of it, a power of two.
         """
-        points, position = kernels.as_readonly(points, np.float32), kernels.as_readonly(position, np.float64)
-        k, z = kernels.scan_ground, float(position[2])
+        points = kernels.as_readonly(points, np.float32)
+        position = kernels.as_readonly(position, np.float64)
+        k = kernels.scan_ground
+        z = float(position[2])
         cells, wide, first = k.cells_of(points, position, reach, EDGE)
         with np.errstate(invalid="ignore"):
             heights = points[:, 2] - np.float32(z)
-        lowest, number = k.lowest_layers(heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE))
-        for _ in range(2):  # reflections next to each other look like ground, until those below the others are gone
+        lowest, number = k.lowest_layers(
+            heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE)
+        )
+        for _ in range(
+            2
+        ):  # reflections next to each other look like ground, until those below the others are gone
             lowest[k.pits(lowest, PIT)] = np.inf
         surface = k.surface_of(lowest, STEEP * EDGE, SLOPE * EDGE)
-        number = np.where((lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0).astype(np.uint8)
+        number = np.where(
+            (lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0
+        ).astype(np.uint8)
         weight = np.minimum(number, FULL) / FULL
-        height = np.clip(np.rint(1000 * _filled(surface, weight)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
+        height = np.clip(np.rint(1000 * _filled(surface, weight)), -k.UNKNOWN, k.UNKNOWN).astype(
+            np.int16
+        )
         return cls(height, number, first, z)
 
     def heights(self, points: F32) -> F32:
-        """(N,) float32, metres: height of points (N, 3), world frame, above the ground; infinite if unknown."""
+        """(N,) float32, metres: height of points (N, 3), world frame, above the ground.
+
+        Infinite if unknown.
+        """
         where = self.z, self.first, self.height, EDGE
         found: F32 = kernels.scan_ground.above(kernels.as_readonly(points, np.float32), *where)
         return found
 
     def cells(self, position: F64) -> Cells:
-        """The cells (K,) that show ground up to ``NEAR`` away: keys, dx and dy from the sensor, height, points."""
-        middle, far = len(self.number) // 2, math.ceil(NEAR / EDGE) + 1
+        """The cells (K,) that show ground up to ``NEAR`` away.
+
+        Keys, dx and dy from the sensor, height, points.
+        """
+        middle = len(self.number) // 2
+        far = math.ceil(NEAR / EDGE) + 1
         low = max(middle - far, 0)
-        rows = tuple(low + each for each in np.nonzero(self.number[low : middle + far, low : middle + far]))
+        rows = tuple(
+            low + each for each in np.nonzero(self.number[low : middle + far, low : middle + far])
+        )
         at = rows[0] + self.first[0], rows[1] + self.first[1]
         dx, dy = ((key + 0.5) * EDGE - centre for key, centre in zip(at, position[:2], strict=True))
         near = dx * dx + dy * dy < NEAR * NEAR
-        z, number = self.height[rows] / 1000 + self.z, self.number[rows]
+        z = self.height[rows] / 1000 + self.z
+        number = self.number[rows]
         return (at[0][near], at[1][near]), dx[near], dy[near], z[near], number[near]
 
 
 def weights(dx: F64, dy: F64, number: U8) -> F64:
-    """(K,) float64: weights of cells, from their distance along x and y, metres, and points; near ones count most."""
+    """(K,) float64: weights of cells, from their distance along x and y, metres, and points.
+
+    Near ones count most.
+    """
     found: F64 = number / (1.0 + (dx * dx + dy * dy) / 100.0)
     return found
 
 
 def _filled(z: F64, weight: F64) -> F64:
-    """Add to cells (X, X) of less than full weight the mean of ever larger squares around them: pull and push.
+    """Add to cells (X, X) of less than full weight the mean of ever larger squares around them.
+
+    Pull and push.
 
     X is a power of two.
     """

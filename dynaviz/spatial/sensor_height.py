@@ -22,11 +22,17 @@ def sensor_height(local: F64) -> tuple[float, float]:
         local: (N, 3) float64, metres: points from the sensor, the third axis up.
 
     Returns:
-        The distance, metres, in which near ground counts most, and the share of the cells with points below the sensor
-        that show ground; zeros if there are fewer than ``FEWEST`` such cells.
+        The distance, metres, in which near ground counts most, and the share of the cells with
+        points below the sensor that show ground; zeros if there are fewer than ``FEWEST`` such
+        cells.
     """
-    reach, sensor = REACH // 2, np.zeros(3)
-    below = (local[:, 2] < -LAYER) & (local[:, 2] > -HIGHEST) & (np.abs(local[:, :2]) < reach * EDGE).all(1)
+    reach = REACH // 2
+    sensor = np.zeros(3)
+    below = (
+        (local[:, 2] < -LAYER)
+        & (local[:, 2] > -HIGHEST)
+        & (np.abs(local[:, :2]) < reach * EDGE).all(1)
+    )
     points = local[below].astype(np.float32)
     seen = len(np.unique(np.floor(points[:, :2] / EDGE), axis=0))
     if seen < FEWEST:

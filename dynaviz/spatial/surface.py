@@ -7,14 +7,20 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64
 
-REACHES = (0.4, 0.8, 1.6)  # metres: points of the same scan this close to a point are tried as its surface
+# metres: points of the same scan this close to a point are tried as its surface
+REACHES = (
+    0.4,
+    0.8,
+    1.6,
+)
 LEAST = 4  # points of a surface
 FLAT = 0.07  # metres: standard deviation across a surface; more is no surface
 WIDE = 0.15  # metres: least standard deviation along it
-# Degrees: a ray that meets a surface at a smaller angle is a grazing ray. At this angle it passes through the last
-# three cells of the surface's own layer before it ends (cot 20 is 2.7).
+# Degrees: a ray that meets a surface at a smaller angle is a grazing ray. At this angle it passes
+# through the last three cells of the surface's own layer before it ends (cot 20 is 2.7).
 GRAZING = 20.0
-# Degrees: a surface that its own ray meets at a smaller angle is none, but points that lie along a single ring.
+# Degrees: a surface that its own ray meets at a smaller angle is none, but points that lie along a
+# single ring.
 ALONG_RAY = 1.0
 
 
@@ -29,17 +35,22 @@ def surface_normals(points: F32, asked: F32, origins: F64) -> F64:
     Returns:
         (K, 3) float64; NaN for points that lie on no surface.
     """
-    found, sums, inner = np.full((len(asked), 3), np.nan), np.zeros((len(asked), 10)), -1.0
+    found = np.full((len(asked), 3), np.nan)
+    sums = np.zeros((len(asked), 10))
+    inner = -1.0
     points = kernels.as_readonly(points, np.float32)
     for reach in REACHES:
         left = np.flatnonzero(np.isnan(found[:, 0]))
         places = kernels.as_readonly(asked[left], np.float32)
         sums[left] += kernels.surfaces.moments(points, places, inner, reach)
-        inner, left = reach, left[sums[left, 0] >= LEAST]
+        inner = reach
+        left = left[sums[left, 0] >= LEAST]
         count, first, second = np.split(sums[left], [1, 4], axis=1)
         products = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         mean = first / count
-        spread, axes = np.linalg.eigh((products - first[:, :, None] * mean[:, None]) / (count[:, None] - 1))
+        spread, axes = np.linalg.eigh(
+            (products - first[:, :, None] * mean[:, None]) / (count[:, None] - 1)
+        )
         across, along = np.sqrt(np.maximum(spread[:, :2], 0)).T
         flat = (across < FLAT) & (along > WIDE)
         found[left[flat]] = axes[flat, :, 0]
@@ -48,7 +59,10 @@ def surface_normals(points: F32, asked: F32, origins: F64) -> F64:
 
 
 def angles(rays: F64, normals: F64) -> F64:
-    """(K,) degrees, between rays and surfaces, given (K, 3) directions and normals; NaN if any is unknown."""
+    """(K,) degrees, between rays and surfaces, given (K, 3) directions and normals.
+
+    NaN if any is unknown.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         sines = np.abs((rays * normals).sum(1)) / np.linalg.norm(rays, axis=1)
         found: F64 = np.degrees(np.arcsin(np.minimum(sines, 1.0)))

@@ -1,4 +1,7 @@
-"""Trajectories that interpolate poses, and deskewing: each point is transformed by the pose at its own time."""
+"""Trajectories that interpolate poses, and deskewing.
+
+Each point is transformed by the pose at its own time.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,12 @@ FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", 
 TICK = 10_000
 """Time resolution of deskewing, nanoseconds; in half a tick, a car at 30 m/s moves 0.15 mm."""
 
-_SHORTEST, _LONGEST = 2e6, 2e9  # duration of a sweep, nanoseconds; a factor of 1000 apart, so that only one unit fits
-_SAME_CLOCK = 1e10  # largest difference of a sweep's stamp and its points' times on one clock, nanoseconds
+# duration of a sweep, nanoseconds; a factor of 1000 apart, so that only one unit fits
+_SHORTEST = 2e6
+_LONGEST = 2e9
+_SAME_CLOCK = (
+    1e10  # largest difference of a sweep's stamp and its points' times on one clock, nanoseconds
+)
 _LARGEST = 2.0**62  # nanoseconds; differences of such times fit into 64 bits
 
 
@@ -43,7 +50,10 @@ class HasTrajectories(Protocol):
 
     @property
     def trajectories(self) -> Mapping[int, PosesOverTime]:
-        """T_world_sensor over time of each lidar by its number, in the world frame of the scans; 0 for a single one."""
+        """T_world_sensor over time of each lidar by its number, in the world frame of the scans.
+
+        0 for a single one.
+        """
         ...
 
 
@@ -95,9 +105,12 @@ class Mounted:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses at some times, with interpolation: constant rotation rate about one axis, positions along a line.
+    """Poses at some times, with interpolation.
 
-    Before the first and after the last pose, the first and last step are extrapolated. A single pose is constant.
+    Constant rotation rate about one axis, positions along a line.
+
+    Before the first and after the last pose, the first and last step are extrapolated. A single
+    pose is constant.
 
     Attributes:
         times: (K,) int64, nanoseconds, strictly increasing, K at least 1.
@@ -110,7 +123,8 @@ class Trajectory:
     @classmethod
     def of(cls, times: ArrayLike, poses: ArrayLike) -> Trajectory:
         """Sort poses by time; of several poses at the same time, the last one is used."""
-        all_times, all_poses = np.asarray(times, np.int64), np.asarray(poses, np.float64)
+        all_times = np.asarray(times, np.int64)
+        all_poses = np.asarray(poses, np.float64)
         latest_first = slice(None, None, -1)
         unique, row = np.unique(all_times[latest_first], return_index=True)
         return cls(unique, all_poses[latest_first][row])
@@ -144,17 +158,23 @@ class Trajectory:
             start = self.poses[step]
             turned = Rotation.from_rotvec(share[:, None] * self._turns[step]).as_matrix()
             start[:, :3, :3] = geometry.compose(start[:, :3, :3], turned)
-            start[:, :3, 3] += share[:, None] * (self.poses[step + 1, :3, 3] - self.poses[step, :3, 3])
+            start[:, :3, 3] += share[:, None] * (
+                self.poses[step + 1, :3, 3] - self.poses[step, :3, 3]
+            )
             poses[~exact] = start
         return poses
 
     @cached_property
     def _turns(self) -> F64:
-        """(K - 1, 3) rotation vectors from each pose to the next, in the frame of the first of the two."""
+        """(K - 1, 3) rotation vectors from each pose to the next, in the frame of the first of the
+        two.
+        """
         from scipy.spatial.transform import Rotation
 
         R = self.poses[:, :3, :3]
-        turns: F64 = Rotation.from_matrix(geometry.compose(np.swapaxes(R[:-1], 1, 2), R[1:])).as_rotvec()
+        turns: F64 = Rotation.from_matrix(
+            geometry.compose(np.swapaxes(R[:-1], 1, 2), R[1:])
+        ).as_rotvec()
         return turns
 
 
@@ -188,21 +208,24 @@ def unit_of(values: NDArray[Any]) -> float | None:
         values: (N,) of any numeric type, as written by the driver.
 
     Returns:
-        Nanoseconds per unit: 1e9, 1e6, 1e3 or 1. None if the times do not span a sweep (2 ms to 2 s) in any unit.
+        Nanoseconds per unit: 1e9, 1e6, 1e3 or 1. None if the times do not span a sweep (2 ms to 2
+        s) in any unit.
     """
     values = values[np.isfinite(values)]
     if not len(values):
         return None
     span = float(values.max() - values.min())
-    return next((unit for unit in (1e9, 1e6, 1e3, 1.0) if _SHORTEST < span * unit <= _LONGEST), None)
+    return next(
+        (unit for unit in (1e9, 1e6, 1e3, 1.0) if _SHORTEST < span * unit <= _LONGEST), None
+    )
 
 
 def point_times(values: NDArray[Any], unit: float, stamp_ns: int) -> I64:
     """Compute the time at which each point was measured.
 
     Args:
-        values: (N,) of any numeric type: offsets from the sweep's stamp, or absolute times. If they are from another
-            clock than the stamp, the first point gets the time of the stamp.
+        values: (N,) of any numeric type: offsets from the sweep's stamp, or absolute times. If they
+            are from another clock than the stamp, the first point gets the time of the stamp.
         unit: nanoseconds per unit of the values.
         stamp_ns: stamp of the sweep, nanoseconds.
 
@@ -220,5 +243,7 @@ def point_times(values: NDArray[Any], unit: float, stamp_ns: int) -> I64:
     elif abs(start - stamp_ns) > _SAME_CLOCK:
         start = stamp_ns
     times = np.full(len(values), stamp_ns, np.int64)
-    times[finite] = start + np.round((values[finite] - first).astype(np.float64) * unit).astype(np.int64)
+    times[finite] = start + np.round((values[finite] - first).astype(np.float64) * unit).astype(
+        np.int64
+    )
     return times

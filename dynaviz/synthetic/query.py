@@ -13,7 +13,8 @@ def options_of(place: str, query: str, known: Iterable[str]) -> dict[str, str]:
     """The values of a query by name.
 
     Raises:
-        UsageError: for an unknown option, or one that is given twice; the message starts with ``place``.
+        UsageError: for an unknown option, or one that is given twice; the message starts with
+            ``place``.
     """
     values: dict[str, str] = {}
     for part in filter(None, query.split("&")):

@@ -1,1 +1,4 @@
-"""Long work in pieces, each in a process of its own: on this machine, or on the workers of a Dask cluster."""
+"""Long work in pieces, each in a process of its own.
+
+On this machine, or on the workers of a Dask cluster.
+"""

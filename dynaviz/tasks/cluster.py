@@ -1,4 +1,7 @@
-"""Runs tasks on a Dask cluster. Workers send the files of a task back, so they only need to read the sequences."""
+"""Runs tasks on a Dask cluster.
+
+Workers send the files of a task back, so they only need to read the sequences.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,8 @@ from dynaviz.tasks.local import WorkerProcesses
 from dynaviz.tasks.task import ERRORS, AnyTask, Task, TaskProgress, clear, error_of, fail, sentence
 
 TOPIC = "dynaviz-tasks"
-LARGEST = 2_000_000_000  # bytes of one task's files, which pass through the memory of worker, scheduler and client
+# bytes of one task's files, which pass through the memory of worker, scheduler and client
+LARGEST = 2_000_000_000
 SPARE = 4  # tasks that wait at the scheduler, in addition to one per thread
 CONNECT_TIMEOUT = 15  # seconds to wait for the scheduler
 
@@ -38,30 +42,39 @@ class DaskExecutor(Generic[AnyTask]):
         try:
             from distributed import Client
         except ImportError:
-            raise MissingDependency("--scheduler needs Dask. Install it with: pip install distributed") from None
+            raise MissingDependency(
+                "--scheduler needs Dask. Install it with: pip install distributed"
+            ) from None
         try:
             self._client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError) as error:
             raise UsageError(
                 f"--scheduler {address}: no Dask scheduler answers at this address ({error}). "
-                "Start one with 'dask scheduler', and workers with 'dask worker ADDRESS --nthreads 1'"
+                "Start one with 'dask scheduler', and workers with 'dask worker ADDRESS --nthreads "
+                "1'"
             ) from None
-        self._out, self._report = out, report
+        self._out = out
+        self._report = report
 
     def run(self, todo: Sequence[AnyTask]) -> Iterator[AnyTask]:
-        """Run tasks and yield each when it has ended, also if it failed; closing the iterator cancels the others.
+        """Run tasks and yield each when it has ended, also if it failed.
 
-        If a worker dies, another one runs its tasks again. Dask gives up on a task whose workers die repeatedly.
+        Closing the iterator cancels the others.
+
+        If a worker dies, another one runs its tasks again. Dask gives up on a task whose workers
+        die repeatedly.
         """
         from distributed import as_completed
 
         by_key: dict[str, AnyTask] = {}
         running: dict[str, Any] = {}
         self._client.subscribe_topic(TOPIC, lambda event: self._on_event(by_key, event[1]))
-        ended, waiting = as_completed(loop=self._client.loop), iter(todo)
+        ended = as_completed(loop=self._client.loop)
+        waiting = iter(todo)
 
         def submit() -> None:
-            # A few at a time: tasks contain the list of all scans, and the scheduler would keep thousands of them.
+            # A few at a time: tasks contain the list of all scans, and the scheduler would keep
+            # thousands of them.
             room = 2 * sum(self._client.nthreads().values()) + SPARE - len(running)
             for task in itertools.islice(waiting, max(room, 0)):
                 key = f"{task.path.as_posix()}-{time.time_ns()}"
@@ -86,18 +99,25 @@ class DaskExecutor(Generic[AnyTask]):
         self._client.close()
 
     def _fetch(self, task: AnyTask, future: Any) -> None:
-        """Write the files from a worker, the last one last, because its presence marks the others as complete."""
+        """Write the files from a worker, the last one last, because its presence marks the others
+        as complete.
+        """
         folder = self._out / task.path
         clear(task, folder)
         try:
             files: dict[str, bytes] = future.result()
         except Exception as error:  # the worker died too often, or its answer cannot be unpickled
-            return fail(task, folder, f"the cluster could not run this {task.kind}: {sentence(error)}")
+            return fail(
+                task, folder, f"the cluster could not run this {task.kind}: {sentence(error)}"
+            )
         last = task.files[-1]
         for name in sorted(files, key=lambda name: name == last):
             write_atomic(folder / name, files[name])
         if last in files and not task.finished(folder):
-            problem = "the package versions on the worker differ from those on this machine. Install the same versions."
+            problem = (
+                "the package versions on the worker differ from those on this machine. Install the "
+                "same versions."
+            )
             fail(task, folder, problem)
 
     def _on_event(self, by_key: dict[str, AnyTask], event: Any) -> None:
@@ -117,7 +137,8 @@ def remote(task: Task, key: str) -> dict[str, bytes]:
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / task.path
-        # One kernel thread, because the worker runs one task per thread. A process, because kernels need a main thread.
+        # One kernel thread, because the worker runs one task per thread. A process, because kernels
+        # need a main thread.
         WorkerProcesses().run(task, folder, 1, report)
         if error := error_of(folder):
             fail(task, folder, f"on worker {worker.address}: {error}")
@@ -125,8 +146,13 @@ def remote(task: Task, key: str) -> dict[str, bytes]:
         if size > LARGEST:
             shutil.rmtree(folder)
             problem = (
-                f"the files of this {task.kind} have {size / 1e9:.1f} GB, too much to send back from a worker. "
+                f"the files of this {task.kind} have {size / 1e9:.1f} GB, too much to send back "
+                "from a worker. "
                 f"{task.smaller}"
             )
             fail(task, folder, problem)
-        return {path.name: path.read_bytes() for path in folder.iterdir() if path.name in (*task.files, *ERRORS)}
+        return {
+            path.name: path.read_bytes()
+            for path in folder.iterdir()
+            if path.name in (*task.files, *ERRORS)
+        }

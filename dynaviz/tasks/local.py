@@ -21,7 +21,8 @@ from dynaviz.tasks.worker import END
 END_TIMEOUT = 5.0  # seconds for a process to remove partial files before it is killed
 
 
-# A separate session (on Windows a process group): Ctrl-C reaches only this process, which then ends the others.
+# A separate session (on Windows a process group): Ctrl-C reaches only this process, which then ends
+# the others.
 if sys.platform == "win32":
     DETACHED = subprocess.CREATE_NEW_PROCESS_GROUP
 else:
@@ -37,7 +38,8 @@ class InThisProcess(Generic[AnyTask]):
     """
 
     def __init__(self, out: Path, report: TaskProgress[AnyTask]):
-        self._out, self._report = out, report
+        self._out = out
+        self._report = report
 
     def run(self, todo: Sequence[AnyTask]) -> Iterator[AnyTask]:
         """Run tasks and yield each when it has ended, also if it failed."""
@@ -59,21 +61,29 @@ class LocalExecutor(Generic[AnyTask]):
         out: folder of the whole work.
         workers: number of tasks that run at a time.
         report: called with the progress of the tasks, from other threads.
-        reuse: run several tasks in a process, one after another, which saves its start; else each has its own, whose
-            memory and time are those of the task.
+        reuse: run several tasks in a process, one after another, which saves its start; else each
+            has its own, whose memory and time are those of the task.
     """
 
     def __init__(self, out: Path, workers: int, report: TaskProgress[AnyTask], reuse: bool = False):
-        self._out, self._workers, self._report, self._reuse = out, workers, report, reuse
+        self._out = out
+        self._workers = workers
+        self._report = report
+        self._reuse = reuse
         self._threads = None if workers == 1 else max(1, (os.cpu_count() or 1) // workers)
 
     def run(self, todo: Sequence[AnyTask]) -> Iterator[AnyTask]:
-        """Run tasks and yield each when it has ended, also if it failed; closing the iterator ends all processes."""
+        """Run tasks and yield each when it has ended, also if it failed.
+
+        Closing the iterator ends all processes.
+        """
         processes = WorkerProcesses(self._reuse)
         pool = ThreadPoolExecutor(self._workers)
         try:
             ended = {
-                pool.submit(processes.run, task, self._out / task.path, self._threads, self._report): task
+                pool.submit(
+                    processes.run, task, self._out / task.path, self._threads, self._report
+                ): task
                 for task in todo
             }
             for future in as_completed(ended):
@@ -95,18 +105,28 @@ class WorkerProcesses:
     def __init__(self, reuse: bool = False) -> None:
         self._alive: set[subprocess.Popen[bytes]] = set()
         self._idle: list[subprocess.Popen[bytes]] = []
-        self._lock, self._ending, self._reuse = threading.Lock(), False, reuse
+        self._lock = threading.Lock()
+        self._ending = False
+        self._reuse = reuse
 
-    def run(self, task: AnyTask, folder: Path, threads: int | None, report: TaskProgress[AnyTask]) -> None:
-        """Run a task in a process and wait for it; its folder then contains its files, or ``error.json``."""
+    def run(
+        self, task: AnyTask, folder: Path, threads: int | None, report: TaskProgress[AnyTask]
+    ) -> None:
+        """Run a task in a process and wait for it.
+
+        Its folder then contains its files, or ``error.json``.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         clear(task, folder)
-        child, ended = self._take(folder / "error.log"), False
+        child = self._take(folder / "error.log")
+        ended = False
         try:
             assert child.stdin
             assert child.stdout
             content = pickle.dumps((task, folder, threads))
-            with contextlib.suppress(BrokenPipeError):  # the process died; its exit code is checked below
+            with contextlib.suppress(
+                BrokenPipeError
+            ):  # the process died; its exit code is checked below
                 child.stdin.write(len(content).to_bytes(8, "little") + content)
                 child.stdin.flush()
             for line in child.stdout:
@@ -125,7 +145,8 @@ class WorkerProcesses:
         """End all processes, and start no more."""
         with self._lock:
             self._ending = True
-            alive, idle = self._alive - set(self._idle), self._idle
+            alive = self._alive - set(self._idle)
+            idle = self._idle
         for child in idle:
             child.communicate()
         for child in alive:
@@ -170,5 +191,9 @@ def death(code: int) -> str:
     if code >= 0:
         return f"the process ended with exit code {code}. Look into error.log for the reason."
     name = signal.Signals(-code).name if -code in set(signal.Signals) else str(-code)
-    hint = "Memory may have run out: use fewer workers." if name == "SIGKILL" else "Look into error.log for the reason."
+    hint = (
+        "Memory may have run out: use fewer workers."
+        if name == "SIGKILL"
+        else "Look into error.log for the reason."
+    )
     return f"the process was killed by {name}. {hint}"

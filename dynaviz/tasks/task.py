@@ -26,7 +26,10 @@ class Task(Protocol):
 
     @property
     def files(self) -> tuple[str, ...]:
-        """The files that it may write. The last one is written last: if it exists, the others are complete."""
+        """The files that it may write. The last one is written last.
+
+        If it exists, the others are complete.
+        """
         ...
 
     @property
@@ -63,7 +66,10 @@ TaskProgress = Callable[[AnyTask, str, int, int], None]
 
 
 def clear(task: Task, folder: Path) -> None:
-    """Remove the files of an earlier run; the last one first, because its presence marks the others as complete."""
+    """Remove the files of an earlier run.
+
+    The last one first, because its presence marks the others as complete.
+    """
     for name in (*reversed(task.files), *ERRORS):
         (folder / name).unlink(missing_ok=True)
 
@@ -71,7 +77,9 @@ def clear(task: Task, folder: Path) -> None:
 def fail(task: Task, folder: Path, error: str) -> None:
     """Write ``error.json`` in place of the answer."""
     (folder / task.files[-1]).unlink(missing_ok=True)
-    write_atomic(folder / "error.json", json.dumps({**task.facts, "error": error}, indent=1).encode())
+    write_atomic(
+        folder / "error.json", json.dumps({**task.facts, "error": error}, indent=1).encode()
+    )
 
 
 def error_of(folder: Path) -> str | None:

@@ -1,9 +1,12 @@
-"""The process that runs tasks: ``python -m dynaviz.tasks.worker``, started by ``dynaviz.tasks.local``.
+"""The process that runs tasks.
 
-It reads pickled (task, folder, threads) from standard input, each after its length in 8 bytes. It runs one task after
-another and writes lines ``PHASE DONE TOTAL`` to standard output, and ``END`` after each task, whose errors are then in
-``error.json`` in its folder. It exits when standard input ends, at once even in the middle of a task: the parent has
-died, and another program may use the folder.
+``python -m dynaviz.tasks.worker``, started by ``dynaviz.tasks.local``.
+
+It reads pickled (task, folder, threads) from standard input, each after its length in 8 bytes. It
+runs one task after another and writes lines ``PHASE DONE TOTAL`` to standard output, and ``END``
+after each task, whose errors are then in ``error.json`` in its folder. It exits when standard input
+ends, at once even in the middle of a task: the parent has died, and another program may use the
+folder.
 """
 
 from __future__ import annotations
@@ -67,7 +70,9 @@ def _log_to(path: str | os.PathLike[str]) -> None:
 
 def _receive(received: queue.SimpleQueue[bytes], busy: threading.Event) -> None:
     """Put the bytes of each task into a queue, and none at the end of standard input."""
-    with os.fdopen(os.dup(0), "rb") as stdin:  # not sys.stdin: a thread must not hold its lock when Python exits
+    with os.fdopen(
+        os.dup(0), "rb"
+    ) as stdin:  # not sys.stdin: a thread must not hold its lock when Python exits
         while length := stdin.read(8):
             busy.set()
             received.put(stdin.read(int.from_bytes(length, "little")))
@@ -78,12 +83,15 @@ def _receive(received: queue.SimpleQueue[bytes], busy: threading.Event) -> None:
 
 class _ProgressReporter:
     def __init__(self, out: IO[bytes]):
-        self._out, self._phase, self._last = out, "", 0.0
+        self._out = out
+        self._phase = ""
+        self._last = 0.0
 
     def __call__(self, phase: str, done: int, total: int) -> None:
         now = time.monotonic()
         if phase != self._phase or done == total or now - self._last > INTERVAL:
-            self._phase, self._last = phase, now
+            self._phase = phase
+            self._last = now
             self._out.write(f"{phase} {done} {total}\n".encode())
             self._out.flush()
 

@@ -1,4 +1,7 @@
-"""A small simulated world for checks: a sensor drives over a crossing with walls, static boxes and moving boxes."""
+"""A small simulated world for checks.
+
+A sensor drives over a crossing with walls, static boxes and moving boxes.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,13 @@ from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 
-RINGS, ELEVATION, HEIGHT = 24, (-24.0, 10.0), 1.8  # degrees, metres
-SENSOR = Sensor(name="check", title="a sensor of 24 rings", rings=RINGS, elevation=ELEVATION, height=HEIGHT)
+# degrees, metres
+RINGS = 24
+ELEVATION = (-24.0, 10.0)
+HEIGHT = 1.8
+SENSOR = Sensor(
+    name="check", title="a sensor of 24 rings", rings=RINGS, elevation=ELEVATION, height=HEIGHT
+)
 AZIMUTHS = 400
 NOISE = 0.01  # metres, along the ray
 SIZE = 30.0  # metres from the centre to the walls
@@ -28,7 +36,13 @@ MOVING_BOXES = [
     ((12.0, -6.0, 0.8), (0.4, 0.4, 0.9), (-0.9, 0.3, 0.0)),
     ((-6.0, 9.0, 0.9), (0.4, 0.4, 0.9), (0.8, -0.3, 0.0)),
 ]
-WORLD_POSE = (17.0, 0.31, 0.17, 0.23)  # degrees and metres, so that surfaces cross voxels at all angles
+# degrees and metres, so that surfaces cross voxels at all angles
+WORLD_POSE = (
+    17.0,
+    0.31,
+    0.17,
+    0.23,
+)
 SLOPE = np.array([0.04, 0.03, 1.0])  # direction normal to the ground
 
 
@@ -59,12 +73,16 @@ def crossing(frames: int = 12, seed: int = 0) -> list[Scan]:
         frames: number of scans, 0.1 s apart.
         seed: random seed of the range noise.
     """
-    random, directions = np.random.default_rng(seed), _directions()
+    random = np.random.default_rng(seed)
+    directions = _directions()
     scans = []
     for frame in range(frames):
         T_world_sensor = _pose(frame)
-        origin, rays = T_world_sensor[:3, 3], directions @ T_world_sensor[:3, :3].T
-        static = np.minimum.reduce([_room(origin, rays), *(_box(origin, rays, *box) for box in STATIC_BOXES)])
+        origin = T_world_sensor[:3, 3]
+        rays = directions @ T_world_sensor[:3, :3].T
+        static = np.minimum.reduce(
+            [_room(origin, rays), *(_box(origin, rays, *box) for box in STATIC_BOXES)]
+        )
         moving = np.minimum.reduce(
             [
                 _box(origin, rays, tuple(np.add(centre, np.multiply(frame, step))), half)
@@ -86,21 +104,27 @@ def moved(scan: Scan, T: F64) -> Scan:
 
 def turn(degrees: float, x: float, y: float, z: float) -> F64:
     """(4, 4) pose: a rotation about z, degrees, then a shift, metres."""
-    angle, T = np.radians(degrees), np.eye(4)
+    angle = np.radians(degrees)
+    T = np.eye(4)
     T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     T[:3, 3] = x, y, z
     return T
 
 
 def _directions() -> F64:
-    """(RINGS * AZIMUTHS, 3) unit vectors, sensor frame; off the axes, so that no ray runs along a voxel face."""
+    """(RINGS * AZIMUTHS, 3) unit vectors, sensor frame.
+
+    Off the axes, so that no ray runs along a voxel face.
+    """
     elevation, azimuth = np.meshgrid(
         np.radians(np.linspace(*ELEVATION, RINGS)),
         np.linspace(-np.pi, np.pi, AZIMUTHS, endpoint=False) + 0.003,
         indexing="ij",
     )
     horizontal = np.cos(elevation)
-    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
+    return np.stack(
+        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], -1
+    ).reshape(-1, 3)
 
 
 def _pose(frame: int) -> F64:
@@ -120,5 +144,6 @@ def _box(origin: F64, rays: F64, centre: tuple[float, ...], half: tuple[float, .
     """Ranges to a box from outside, metres; infinite for misses."""
     with np.errstate(divide="ignore"):
         low, high = ((np.add(centre, np.multiply(side, half)) - origin) / rays for side in (-1, 1))
-    enter, leave = np.minimum(low, high).max(1), np.maximum(low, high).min(1)
+    enter = np.minimum(low, high).max(1)
+    leave = np.maximum(low, high).min(1)
     return np.where((enter > 0) & (enter < leave), enter, np.inf)

@@ -28,7 +28,8 @@ class Background:
 
     def wait(self) -> None:
         """Wait for the pending call, and raise its error."""
-        pending, self._pending = self._pending, None
+        pending = self._pending
+        self._pending = None
         if pending is not None:
             pending.result()
 

@@ -1,4 +1,7 @@
-"""The cases that a recording shows: the costliest failures, or what looks suspicious without ground truth."""
+"""The cases that a recording shows.
+
+The costliest failures, or what looks suspicious without ground truth.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +21,19 @@ from dynaviz.scores.spans import Spans, in_words
 
 LISTED = 20  # cases in the list and in the map, at most ...
 WORTH = 0.01  # ... that cost at least this share of the first one
-FAILURES, CLUSTERS = "failures", "clusters"  # figures with the boxes of cases
+# figures with the boxes of cases
+FAILURES = "failures"
+CLUSTERS = "clusters"
 POINTS = "points"
 OUTCOMES = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 DID = {"false_positive": "removed", "false_negative": "kept"}
 REASONS = 3  # named in the text of a case
-WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE, Outcome.UNLABELLED_REMOVED)  # outcomes of the points of cases
+# outcomes of the points of cases
+WRONG = (
+    Outcome.FALSE_POSITIVE,
+    Outcome.FALSE_NEGATIVE,
+    Outcome.UNLABELLED_REMOVED,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +46,8 @@ class ShownCase:
         outcome: of its points.
         frame: position in the run of its worst frame.
         low, high: (3,) float64, metres, world frame: its box in that frame.
-        lost: what it costs: percentage points of SA or of DA; without ground truth, the number of removed ``points``.
+        lost: what it costs: percentage points of SA or of DA; without ground truth, the number of
+            removed ``points``.
         text: Markdown, without evidence.
         spans: of frames by state, as in ``FailureCase``.
         failure: the case, with ground truth.
@@ -61,7 +72,9 @@ class ShownCase:
 
 def listed(result: Result) -> list[FailureCase]:
     """The costliest failure cases."""
-    return [case for case in result.failures[:LISTED] if case.cost >= WORTH * result.failures[0].cost]
+    return [
+        case for case in result.failures[:LISTED] if case.cost >= WORTH * result.failures[0].cost
+    ]
 
 
 def suspicious(result: Result) -> list[RemovedCluster]:
@@ -71,10 +84,14 @@ def suspicious(result: Result) -> list[RemovedCluster]:
 
 
 def belong(failure: FailureCase | None, scan: Scan, rows: I64) -> Bool:
-    """(K,) bool: which points of a scan are of the class and object of a case, as far as these are known."""
+    """(K,) bool: which points of a scan are of the class and object of a case, as far as these are
+    known.
+    """
     of_case = np.ones(len(rows), np.bool_)
     for number, numbers in (
-        () if failure is None else ((failure.class_, scan.classes), (failure.instance, scan.instances))
+        ()
+        if failure is None
+        else ((failure.class_, scan.classes), (failure.instance, scan.instances))
     ):
         if number is not None and numbers is not None:
             of_case &= numbers[rows] == number
@@ -82,7 +99,10 @@ def belong(failure: FailureCase | None, scan: Scan, rows: I64) -> Bool:
 
 
 def middle_of(xyz: F32 | F64) -> int:
-    """Row of the point in the middle of (N, 3) points, N >= 1: the explorer explains it when it opens the case."""
+    """Row of the point in the middle of (N, 3) points, N >= 1.
+
+    The explorer explains it when it opens the case.
+    """
     return int(np.argmin(((xyz - np.median(xyz.astype(np.float64), axis=0)) ** 2).sum(1)))
 
 
@@ -94,22 +114,30 @@ def boxes_of(result: Result, figures: Mapping[str, Figure]) -> FrameBoxes | None
 
 def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
     """The cases to show, in the order of their boxes."""
-    failures, clusters = listed(result), suspicious(result)
+    failures = listed(result)
+    clusters = suspicious(result)
     if failures:
         texts = [(title_of(case), {case.metric: case.cost}, _failure_text(case, i, len(failures)))
                  for i, case in enumerate(failures, 1)]  # fmt: skip
     else:
-        texts = [(title_of(case), {POINTS: float(case.points)}, _cluster_text(case, i, len(clusters)))
-                 for i, case in enumerate(clusters, 1)]  # fmt: skip
-    cases, found = [], cast("list[FailureCase | RemovedCluster]", [*failures, *clusters])
+        texts = [
+            (title_of(case), {POINTS: float(case.points)}, _cluster_text(case, i, len(clusters)))
+            for i, case in enumerate(clusters, 1)
+        ]
+    cases = []
+    found = cast("list[FailureCase | RemovedCluster]", [*failures, *clusters])
     for i, (case, (title, lost, text)) in enumerate(zip(found, texts, strict=False)):
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
-        low, high = (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
+        low, high = (
+            (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
+        )
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
         failure = case if isinstance(case, FailureCase) else None
         spans = failure.spans if failure else {}
         outcome = Outcome(boxes.outcomes[i])
-        cases.append(ShownCase(i + 1, title, outcome, case.worst_frame, *corners, lost, text, spans, failure))
+        cases.append(
+            ShownCase(i + 1, title, outcome, case.worst_frame, *corners, lost, text, spans, failure)
+        )
     return cases
 
 
@@ -134,14 +162,21 @@ def _cluster_text(case: RemovedCluster, number: int, count: int) -> str:
 
 
 def _frame(case: FailureCase | RemovedCluster) -> str:
-    span = "" if case.first_frame == case.last_frame else f" of {case.first_frame} to {case.last_frame}"
+    span = (
+        ""
+        if case.first_frame == case.last_frame
+        else f" of {case.first_frame} to {case.last_frame}"
+    )
     return f"{case.worst_frame}{span}"
 
 
 def shares(reasons: Mapping[str, int]) -> str:
     """The most frequent reasons with their shares."""
     total = sum(reasons.values())
-    return ", ".join(f"{name.replace('_', ' ')} {100 * n / total:.0f} %" for name, n in list(reasons.items())[:REASONS])
+    return ", ".join(
+        f"{name.replace('_', ' ')} {100 * n / total:.0f} %"
+        for name, n in list(reasons.items())[:REASONS]
+    )
 
 
 def _bullets(lines: Sequence[tuple[str, str]]) -> str:

@@ -1,4 +1,7 @@
-"""Class ids of drawn points: outcome and reason in one number, so that the viewer shows the reason on hover."""
+"""Class ids of drawn points.
+
+Outcome and reason in one number, so that the viewer shows the reason on hover.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,9 @@ from dynaviz.arrays import U8, U16
 from dynaviz.contracts.method import Reason
 from dynaviz.contracts.scan import Outcome
 
-REASONS = 256  # reason codes per outcome; smaller ids are plain outcomes, as in recordings of schema 1
+REASONS = (
+    256  # reason codes per outcome; smaller ids are plain outcomes, as in recordings of schema 1
+)
 
 Entry = tuple[int, str, colours.Colour]  # of an annotation context: id, label, colour
 
@@ -32,7 +37,8 @@ def encode(outcome: U8, reasons: U8, named: int) -> U16:
     Args:
         outcome: (N,) uint8, an ``Outcome`` per point.
         reasons: (N,) uint8, reason codes.
-        named: number of reasons in the method's legend; points with other codes get the id of their outcome alone.
+        named: number of reasons in the method's legend; points with other codes get the id of their
+            outcome alone.
     """
     ids = (outcome.astype(np.uint16) + 1) * REASONS + reasons
     return np.where(reasons < named, ids, outcome).astype(np.uint16)
@@ -44,7 +50,10 @@ def outcomes(ids: U16) -> U8:
 
 
 def legend(reasons: Sequence[Reason], has_labels: bool, compares: bool = False) -> list[Entry]:
-    """The entry of each outcome, and of each outcome with each reason; of changes between drives, with the reason."""
+    """The entry of each outcome, and of each outcome with each reason.
+
+    Of changes between drives, with the reason.
+    """
     words = WORDS if has_labels else _WITHOUT_TRUTH
     entries: list[Entry] = []
     for outcome in Outcome:

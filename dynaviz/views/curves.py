@@ -1,4 +1,7 @@
-"""Curves over frames, written in batches: a value written on its own takes a hundred times its size."""
+"""Curves over frames, written in batches.
+
+A value written on its own takes a hundred times its size.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,8 @@ from dynaviz.views.record.sink import RecordingFile
 
 BATCH = 10  # frames; a killed run loses at most this many values of each curve
 
-_KINDS = {  # of the curves of reasons: the outcome whose colour they have, and their name as on hover
+# of the curves of reasons: the outcome whose colour they have, and their name as on hover
+_KINDS = {
     "false_negative": (Outcome.FALSE_NEGATIVE, "ghost"),
     "false_positive": (Outcome.FALSE_POSITIVE, "hole"),
     "removed": (Outcome.UNLABELLED_REMOVED, "removed"),
@@ -22,7 +26,9 @@ _WRONG = {"false_negatives": Outcome.FALSE_NEGATIVE, "false_positives": Outcome.
 
 
 class Curves:
-    """Collects the values of curves and writes them in batches, with a name and a colour per curve."""
+    """Collects the values of curves and writes them in batches, with a name and a
+    colour per curve.
+    """
 
     def __init__(self, sink: RecordingFile) -> None:
         self._sink = sink
@@ -54,7 +60,15 @@ def style(path: str) -> rr.SeriesLines:
     if path.startswith(f"{paths.REASONS}/") and words[0] in _KINDS:
         outcome, kind = _KINDS[words[0]]
         label = f"{kind}: {' '.join(words[1:])}".replace("_", " ")
-        return rr.SeriesLines(names=label, colors=colours.shade(colours.FIRM[outcome], words[-1]), widths=1.5)
-    name = words[0] if words[1:] == ["so_far"] else words[-1] if words[-1] in _WRONG else " ".join(words)
+        return rr.SeriesLines(
+            names=label, colors=colours.shade(colours.FIRM[outcome], words[-1]), widths=1.5
+        )
+    name = (
+        words[0]
+        if words[1:] == ["so_far"]
+        else words[-1]
+        if words[-1] in _WRONG
+        else " ".join(words)
+    )
     colour = colours.FIRM[_WRONG[name]] if name in _WRONG else colours.SCORES.get(words[0])
     return rr.SeriesLines(names=name.replace("_", " "), colors=colour, widths=1.5)

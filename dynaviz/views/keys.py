@@ -1,4 +1,7 @@
-"""Keys of states: what their colours mean, as a strip below each state's view; and guides in polar grids."""
+"""Keys of states: what their colours mean, as a strip below each state's view.
+
+And guides in polar grids.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,20 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.views import paths
 
 STACK = 2  # range images in one tab
-WIDTH, ROW = 380, 36  # pixels of a strip, and of each of its rows; small, so that its text is large in a small view
+# pixels of a strip, and of each of its rows; small, so that its text is large in a small view
+WIDTH = 380
+ROW = 36
 BAR = 11  # pixels: height of a colour bar or swatch
 STEPS = 44  # of a colour bar; a smooth one would be a larger file
 MARGIN = 8
 TEXT: colours.Colour = (225, 225, 230)
 FONT_SCALE = 0.62
 NAME_WIDTH = 120  # pixels for the name, where a strip has several rows
-PART = (0.25, 0.8)  # of viridis: without its near-black, and without its yellow, which is the colour of holes
+# of viridis: without its near-black, and without its yellow, which is the colour of holes
+PART = (
+    0.25,
+    0.8,
+)
 GREYS = (0.22, 1.0)  # part of the greys in use in pictures: black is for empty pixels
 CIRCLE = np.linspace(0.0, 2 * np.pi, 73)
 RING_COLOUR: colours.Colour = (150, 150, 160)
@@ -33,29 +42,42 @@ STANDING = 0.05  # metres between two scans: less is no motion
 
 
 def tabs(info: MethodInfo) -> list[tuple[State, ...]]:
-    """The states of a method that are drawn, by tab; consecutive range images share one, because they are low."""
+    """The states of a method that are drawn, by tab.
+
+    Consecutive range images share one, because they are low.
+    """
     found: list[tuple[State, ...]] = []
     for kind, group in itertools.groupby(info.emits, lambda state: state.kind):
         if issubclass(kind, (*paths.SOLID, *paths.FLAT)):
-            states, together = tuple(group), STACK if kind is RangeImage else 1
+            states = tuple(group)
+            together = STACK if kind is RangeImage else 1
             found += [states[first : first + together] for first in range(0, len(states), together)]
     return found
 
 
 def strip(states: Sequence[State]) -> rr.EncodedImage:
-    """The key of the states of a tab as a picture: a colour bar with numbers, or a swatch for each class."""
+    """The key of the states of a tab as a picture.
+
+    A colour bar with numbers, or a swatch for each class.
+    """
     import cv2
 
     picture: U8 = np.tile(np.array(colours.BACKGROUND, np.uint8), (ROW * len(states), WIDTH, 1))
     for k, state in enumerate(states):
-        row, left = picture[k * ROW : (k + 1) * ROW], MARGIN
+        row = picture[k * ROW : (k + 1) * ROW]
+        left = MARGIN
         if len(states) > 1:
             _text(row, state.name, left, ROW // 2 + 5)
             left += NAME_WIDTH
         if state.legend:
             shades = itertools.cycle(colours.CLASSES)
-            _swatches(row, [(name, shade) for name, shade in zip(state.legend, shades, strict=False) if name])
-        elif state.kind in (Mask, Plane) or (state.kind not in paths.FLAT and state.value_range is None):
+            _swatches(
+                row,
+                [(name, shade) for name, shade in zip(state.legend, shades, strict=False) if name],
+            )
+        elif state.kind in (Mask, Plane) or (
+            state.kind not in paths.FLAT and state.value_range is None
+        ):
             _swatches(row, [(state.name.replace("_", " "), colours.STATE)])
         else:
             _bar(row, left, state)
@@ -65,7 +87,11 @@ def strip(states: Sequence[State]) -> rr.EncodedImage:
 
 def heading(states: Sequence[State]) -> str:
     """What the states of a tab show, in one line."""
-    return states[0].meaning if len(states) == 1 else "; ".join(dict.fromkeys(state.meaning for state in states))
+    return (
+        states[0].meaning
+        if len(states) == 1
+        else "; ".join(dict.fromkeys(state.meaning for state in states))
+    )
 
 
 def stretched(low: float, high: float, part: tuple[float, float] = PART) -> tuple[float, float]:
@@ -87,24 +113,33 @@ def _viridis() -> U8:
     import cv2
 
     levels = np.arange(256, dtype=np.uint8)[:, None]
-    return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1], np.uint8)
+    return np.ascontiguousarray(
+        cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1], np.uint8
+    )
 
 
 def _bar(row: U8, left: int, state: State) -> None:
-    right, value_range = WIDTH - MARGIN, state.value_range
+    right = WIDTH - MARGIN
+    value_range = state.value_range
     shares = (np.arange(right - left) * STEPS // (right - left) / (STEPS - 1)).astype(np.float32)
     grey = (255 * (GREYS[0] + (GREYS[1] - GREYS[0]) * shares)).astype(np.uint8)[:, None]
     row[3 : 3 + BAR, left:right] = grey if issubclass(state.kind, paths.FLAT) else coloured(shares)
     low, high = value_range or (0.0, 1.0)
     for share in (0.0, 0.5, 1.0):
-        words = f"{low + share * (high - low):.3g}" if value_range else {0.0: "lowest", 1.0: "highest"}.get(share, "")
+        words = (
+            f"{low + share * (high - low):.3g}"
+            if value_range
+            else {0.0: "lowest", 1.0: "highest"}.get(share, "")
+        )
         at = left + share * (right - left - _width(words))
         _text(row, words, int(at), ROW - 6)
 
 
 def _swatches(row: U8, entries: Sequence[tuple[str, colours.Colour]]) -> None:
     wide = (WIDTH - 2 * MARGIN) // max(len(entries), 1)
-    scale = FONT_SCALE * min(1.0, (wide - 10) / max((_width(name) for name, _ in entries), default=1))
+    scale = FONT_SCALE * min(
+        1.0, (wide - 10) / max((_width(name) for name, _ in entries), default=1)
+    )
     for k, (name, colour) in enumerate(entries):
         left = MARGIN + k * wide
         row[3 : 3 + BAR, left : left + wide - 8] = colour
@@ -126,14 +161,19 @@ def _width(words: str) -> int:
 def rings(grid: PolarGrid, picture: int) -> tuple[rr.LineStrips2D, rr.Points2D]:
     """Circles at round distances over a polar grid from above, and every second radius at its top.
 
-    The circles themselves would have their labels in the middle, on top of each other. picture: its edge in pixels.
+    The circles themselves would have their labels in the middle, on top of each other. picture: its
+    edge in pixels.
     """
     half = picture / 2
-    step = next(step for step in (1, 2, 5, 10, 20, 50, 100) if step * 5 > grid.max_range or step == 100)
+    step = next(
+        step for step in (1, 2, 5, 10, 20, 50, 100) if step * 5 > grid.max_range or step == 100
+    )
     distances = np.arange(step, grid.max_range + 1e-6, step)
     lengths = distances / grid.max_range * half
     circles = [half + length * np.stack([-np.sin(CIRCLE), np.cos(CIRCLE)], 1) for length in lengths]
-    lines = rr.LineStrips2D(circles, colors=RING_COLOUR, radii=rr.Radius.ui_points(0.5), draw_order=10.0)
+    lines = rr.LineStrips2D(
+        circles, colors=RING_COLOUR, radii=rr.Radius.ui_points(0.5), draw_order=10.0
+    )
     names = rr.Points2D(
         np.stack([np.full(len(lengths[1::2]), half), half - lengths[1::2]], 1),
         labels=[f"{d:g} m" for d in distances[1::2]],
@@ -156,14 +196,17 @@ class Heading:
             moved = np.zeros(2) if self._last is None else (scan.position - self._last)[:2]
             if (length := float(np.linalg.norm(moved))) > STANDING:
                 self._ahead = moved / length
-            self._index, self._last = scan.index, scan.position
+            self._index = scan.index
+            self._last = scan.position
         return self._ahead
 
 
 def arrow(ahead: F64, picture: int) -> Any:
     """The direction of travel in a polar grid from above."""
-    middle, length = picture / 2, picture / 8
+    middle = picture / 2
+    length = picture / 8
     return rr.Arrows2D(
-        origins=[[middle, middle]], vectors=[[ahead[0] * length, -ahead[1] * length]], labels=["travel"],
+        origins=[[middle, middle]], vectors=[[ahead[0] * length, -ahead[1] * length]],
+        labels=["travel"],
         colors=TEXT, radii=rr.Radius.ui_points(1.5), show_labels=True, draw_order=11.0,
     )  # fmt: skip

@@ -1,4 +1,7 @@
-"""The viewer's layout, built from the states of a method and from what a run found; it is part of the recording."""
+"""The viewer's layout, built from the states of a method and from what a run found.
+
+It is part of the recording.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,18 @@ CLEAR = 0.75  # opacity of voxels: wrong points inside remain visible
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
 
-# A plot shows only curves of the current timeline, so each has some for frames and some for cases: it is never empty.
+# A plot shows only curves of the current timeline, so each has some for frames and some for cases:
+# it is never empty.
 SCORE_CURVES = "scores [%]"
 WRONG = "wrong points, or % lost"
 REMOVED = "removed points"
-BEHIND: F64 = np.array([-0.63, -0.46, 0.63]) / np.linalg.norm([-0.63, -0.46, 0.63])  # direction to the camera
-RINGS = (10.0, 20.0)  # metres: circles around the sensor; the camera tracks them, and their size sets its distance
+# direction to the camera
+BEHIND: F64 = np.array([-0.63, -0.46, 0.63]) / np.linalg.norm([-0.63, -0.46, 0.63])
+# metres: circles around the sensor; the camera tracks them, and their size sets its distance
+RINGS = (
+    10.0,
+    20.0,
+)
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 CIRCLE: F64 = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
 CIRCLES: F32 = (np.array(RINGS)[:, None, None] * CIRCLE).astype(np.float32)
@@ -41,7 +50,8 @@ class Findings:
     Attributes:
         truth: whether the run had ground truth.
         cases: whether there is a timeline of cases; the recording then opens at the first one.
-        tracked: by path, (N, P, 3) metres, world frame: the lines of the first case that cameras track.
+        tracked: by path, (N, P, 3) metres, world frame: the lines of the first case that cameras
+            track.
         state: name of the state to show first, or None.
         reasons: paths of the curves of reasons to show; None for all.
     """
@@ -56,8 +66,9 @@ class Findings:
 def layout(info: MethodInfo, extent: Extent, geometry: bool, found: Findings) -> rrb.Blueprint:
     """The layout of a run's recording.
 
-    Left: the case, or behind it the map of the whole run; below it the points of the frame and the method's states.
-    Middle: the case in words, all cases, report and log. Right: scores, wrong points per frame, distances of errors.
+    Left: the case, or behind it the map of the whole run; below it the points of the frame and the
+    method's states. Middle: the case in words, all cases, report and log. Right: scores, wrong
+    points per frame, distances of errors.
 
     Args:
         info: of the method; each of its ``emits`` gets a view.
@@ -87,14 +98,23 @@ def blueprint(body: Any, timeline: str = paths.FRAME) -> rrb.Blueprint:
 def _world(info: MethodInfo, extent: Extent, found: Findings) -> Any:
     common = [paths.SENSOR, paths.TRAJECTORY]
     boxes = _with_names(paths.CASES, paths.CLUSTER_CASES)
-    above: Any = solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", *boxes, *common], _eye(extent))
+    above: Any = solid(
+        "map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", *boxes, *common], _eye(extent)
+    )
     if found.cases:
         case = [paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND, paths.CASE_RAYS]
         above = rrb.Tabs(solid("case", [paths.SCAN, paths.MAP, *case, *common], _aim(found)), above)
-    here = [paths.SCAN, paths.MAP, paths.RINGS, *_with_names(paths.FAILURES, paths.CLUSTERS), paths.CASE_AIM]
+    here = [
+        paths.SCAN,
+        paths.MAP,
+        paths.RINGS,
+        *_with_names(paths.FAILURES, paths.CLUSTERS),
+        paths.CASE_AIM,
+    ]
     frame = solid("frame", [*here, *common], _aim(found, paths.CASE_AIM))
     tabs = _tabs(info, found)
-    state = found.state or next((state.name for state in info.emits if state.legend), None)  # verdicts, not quantities
+    # verdicts, not quantities
+    state = found.state or next((state.name for state in info.emits if state.legend), None)
     below = rrb.Horizontal(frame, _open_at(state, tabs)) if tabs else frame
     return rrb.Vertical(above, below, row_shares=[3, 2])
 
@@ -113,10 +133,14 @@ def _text(found: Findings) -> Any:
         rrb.TextDocumentView(name="report", origin=paths.REPORT, contents=[paths.REPORT]),
         rrb.TextLogView(name="log", origin=paths.LOG),
     )
-    cases = rrb.TextDocumentView(name="failures" if found.truth else "suspicious", origin=paths.FAILURE_LIST)
+    cases = rrb.TextDocumentView(
+        name="failures" if found.truth else "suspicious", origin=paths.FAILURE_LIST
+    )
     if not found.cases:
         return rrb.Vertical(cases, others, row_shares=[5, 3])
-    case = rrb.TextDocumentView(name="what and why", origin=paths.CASE_TEXT, contents=[paths.CASE_TEXT])
+    case = rrb.TextDocumentView(
+        name="what and why", origin=paths.CASE_TEXT, contents=[paths.CASE_TEXT]
+    )
     return rrb.Vertical(case, cases, others, row_shares=[9, 8, 5])
 
 
@@ -141,24 +165,34 @@ def _numbers(info: MethodInfo, found: Findings) -> Any:
     others = [f"- {path}" for path in (*SO_FAR, f"{paths.WRONG}/**", paths.WORST)]
     scores = rrb.Tabs(
         _curves(SCORE_CURVES, [*SO_FAR, *IF_FIXED], rrb.Corner2D.LeftBottom, (0.0, 100.0)),
-        _curves("all scores", [f"{paths.SCORES}/**", *others], rrb.Corner2D.LeftBottom, (0.0, 100.0)),
+        _curves(
+            "all scores", [f"{paths.SCORES}/**", *others], rrb.Corner2D.LeftBottom, (0.0, 100.0)
+        ),
         *_reasons_and_scalars(info, found),
     )
     distance = rrb.Tabs(
         _bars("FN: distance [m]", _run_histogram("false_negative")),
         _bars("FP: distance [m]", _run_histogram("false_positive")),
-        _bars("this frame", [f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS], rrb.Corner2D.RightTop),
+        _bars(
+            "this frame",
+            [f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS],
+            rrb.Corner2D.RightTop,
+        ),
     )
     # No legend: it would hide the worst frames; the colours are those of the points.
     wrong = _curves(WRONG, [f"{paths.WRONG}/**", paths.WORST, f"{paths.CASE_COST}/**"])
-    return rrb.Vertical(scores, rrb.Tabs(wrong, object_lanes.view()) if found.cases else wrong, distance)
+    return rrb.Vertical(
+        scores, rrb.Tabs(wrong, object_lanes.view()) if found.cases else wrong, distance
+    )
 
 
 def _removed(info: MethodInfo, found: Findings) -> Any:
     """The plots of a run without ground truth."""
     removed = _curves(REMOVED, [f"{paths.REMOVED_POINTS}/**", f"{paths.CASE_COST}/**"])
     tabs = rrb.Tabs(removed, *_reasons_and_scalars(info, found))
-    return rrb.Vertical(tabs, rrb.TextDocumentView(name="removed", origin=paths.REMOVED_TEXT), row_shares=[1, 2])
+    return rrb.Vertical(
+        tabs, rrb.TextDocumentView(name="removed", origin=paths.REMOVED_TEXT), row_shares=[1, 2]
+    )
 
 
 def _reasons_and_scalars(info: MethodInfo, found: Findings) -> list[Any]:
@@ -177,9 +211,13 @@ def _run_histogram(kind: str) -> list[str]:
     return [f"{paths.ERROR_DISTANCE}/{kind}/{part}" for part in ("run", "p10")]
 
 
-def _curves(name: str, contents: list[str], legend: Any = None, limits: tuple[float, float] | None = None) -> Any:
+def _curves(
+    name: str, contents: list[str], legend: Any = None, limits: tuple[float, float] | None = None
+) -> Any:
     axis = None if limits is None else rrb.ScalarAxis(range=limits, zoom_lock=True)
-    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=legend or _NO_LEGEND, axis_y=axis)
+    return rrb.TimeSeriesView(
+        name=name, contents=contents, plot_legend=legend or _NO_LEGEND, axis_y=axis
+    )
 
 
 _NO_LEGEND = rrb.PlotLegend(visible=False)
@@ -190,7 +228,11 @@ def _bars(name: str, contents: list[str], legend: Any = None) -> Any:
 
 
 def solid(
-    name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = paths.WORLD, overrides: Any = None
+    name: str,
+    contents: list[str],
+    eye: rrb.EyeControls3D,
+    origin: str = paths.WORLD,
+    overrides: Any = None,
 ) -> Any:
     """A 3D view without a grid."""
     return rrb.Spatial3DView(
@@ -207,13 +249,19 @@ def solid(
 def _state(method: str, state: State, found: Findings) -> Any:
     path = paths.state(method, state)
     if issubclass(state.kind, paths.FLAT):
-        return rrb.Spatial2DView(name=state.name, origin=path, background=[*colours.BACKGROUND, 255])
+        return rrb.Spatial2DView(
+            name=state.name, origin=path, background=[*colours.BACKGROUND, 255]
+        )
     errors = [paths.SCAN, paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND]
     context = [paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY]
     return solid(
-        state.name, [path, *errors, *context], _aim(found),
-        overrides={f"/{path}": rr.VoxelGridMap.from_fields(opacity=CLEAR)} if state.kind is Voxels else None,
-    )  # fmt: skip
+        state.name,
+        [path, *errors, *context],
+        _aim(found),
+        overrides={f"/{path}": rr.VoxelGridMap.from_fields(opacity=CLEAR)}
+        if state.kind is Voxels
+        else None,
+    )
 
 
 def _aim(found: Findings, path: str = paths.CASE_AROUND) -> rrb.EyeControls3D:
@@ -221,16 +269,18 @@ def _aim(found: Findings, path: str = paths.CASE_AROUND) -> rrb.EyeControls3D:
 
 
 def follow(path: str = paths.RINGS, lines: F32 = CIRCLES) -> rrb.EyeControls3D:
-    """A camera behind and above the middle of lines, mostly circles around the sensor, moving with it.
+    """A camera behind and above the middle of lines, mostly circles around the sensor, moving with
+    it.
 
-    The viewer sets the distance to 1.5 half diagonals of their box if it has loaded them before it draws first, and
-    else keeps the stated one: both are the same.
+    The viewer sets the distance to 1.5 half diagonals of their box if it has loaded them before it
+    draws first, and else keeps the stated one: both are the same.
 
     Args:
         path: of the lines.
         lines: (N, P, 3) metres: as they are when the recording opens.
     """
-    low, high = lines.min((0, 1)).astype(np.float64), lines.max((0, 1)).astype(np.float64)
+    low = lines.min((0, 1)).astype(np.float64)
+    high = lines.max((0, 1)).astype(np.float64)
     middle = (low + high) / 2
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
@@ -247,12 +297,19 @@ def _eye(extent: Extent) -> rrb.EyeControls3D:
     side = np.array([along[1], -along[0], 0.0])
     position = centre + max(0.6 * length, 0.95 * width) * (0.35 * side + np.array([0.0, 0.0, 0.94]))
     return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
+        kind=rrb.Eye3DKind.Orbital,
+        position=position,
+        look_target=centre,
+        eye_up=[0.0, 0.0, 1.0],
+        speed=length / 5,
     )
 
 
 def _bulk(extent: Extent) -> tuple[F64, F64, float, float]:
-    """The middle nine tenths of the map: centre, long horizontal axis (unit vector), length and width (metres)."""
+    """The middle nine tenths of the map.
+
+    Centre, long horizontal axis (unit vector), length and width (metres).
+    """
     if not len(extent.cells):
         return np.zeros(3), np.array([1.0, 0.0, 0.0]), 20.0, 10.0
     cells = (extent.cells + 0.5) * CELL

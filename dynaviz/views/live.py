@@ -1,4 +1,6 @@
-"""Show a live session in a viewer, and keep a rolling recording of its last minutes, which survives a kill."""
+"""Show a live session in a viewer, and keep a rolling recording of its last minutes, which survives
+a kill.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +37,21 @@ STATES_EVERY = 1.0  # seconds between pictures of states, which some methods nee
 KEPT_POINTS = 30_000  # static points drawn of each scan
 MAP_EVERY = 2.0  # seconds between pictures of the static map
 TRACE_POINTS = 2_000  # dynamic points of each scan that remain visible
-REMOVED, TRACES = "world/removed_now", "world/removed_lately"
-LATENCY, DROPPED = "live/latency_ms", "live/dropped_scans"
+REMOVED = "world/removed_now"
+TRACES = "world/removed_lately"
+LATENCY = "live/latency_ms"
+DROPPED = "live/dropped_scans"
 SUFFIX = ".rrd"
-SCAN_SHADE: colours.Colour = (200, 200, 208)  # brighter than the static map, which most of its points are in
-TITLE = f"scan (bright) in the static map (dark); dynamic points (pink), and those of the last {TRAIL:.0f} s (small)"
+# brighter than the static map, which most of its points are in
+SCAN_SHADE: colours.Colour = (
+    200,
+    200,
+    208,
+)
+TITLE = (
+    "scan (bright) in the static map (dark); dynamic points (pink), and those of the last "
+    f"{TRAIL:.0f} s (small)"
+)
 
 
 class LiveRecording:
@@ -58,25 +70,43 @@ class LiveRecording:
     """
 
     def __init__(
-        self, info: MethodInfo, name: str, folder: Path | None, minutes: float, port: int | None, period: float
+        self,
+        info: MethodInfo,
+        name: str,
+        folder: Path | None,
+        minutes: float,
+        port: int | None,
+        period: float,
     ) -> None:
-        self._info, self._name, self._folder, self._port, self._period = info, name, folder, port, period
+        self._info = info
+        self._name = name
+        self._folder = folder
+        self._port = port
+        self._period = period
         self._states = {state.name: state for state in info.emits}
         self._queue: list[tuple[State, Value]] = []
         self._segments: deque[Path] = deque()
         self._minutes = minutes
         self._viewer = self._started(None) if port is not None else None
         self._file: rr.RecordingStream | None = None
-        self._segment_ends, self._flushed, self._mapped, self._stated = 0.0, 0.0, -np.inf, -np.inf
-        self._number, self._states_due = 0, True
+        self._segment_ends = 0.0
+        self._flushed = 0.0
+        self._mapped = -np.inf
+        self._stated = -np.inf
+        self._number = 0
+        self._states_due = True
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                self._number = 1 + max((int(path.stem[5:]) for path in folder.glob("live-[0-9]*.rrd")), default=-1)
+                self._number = 1 + max(
+                    (int(path.stem[5:]) for path in folder.glob("live-[0-9]*.rrd")), default=-1
+                )
                 (folder / ".writable").write_bytes(b"")
                 (folder / ".writable").unlink()
             except (OSError, ValueError) as error:
-                raise DataError(str(folder), f"cannot be written ({error})", hint="Choose another folder") from None
+                raise DataError(
+                    str(folder), f"cannot be written ({error})", hint="Choose another folder"
+                ) from None
 
     def wants(self, name: str) -> bool:
         """True for every state of the method about once per second, from the first scan on."""
@@ -116,7 +146,9 @@ class LiveRecording:
         if static_map is not None:
             self._mapped = time.monotonic()
             shade = colours.BRIGHT[Outcome.UNLABELLED_KEPT]
-            self._log(paths.MAP, rr.Points3D(static_map, colors=[shade], radii=rr.Radius.ui_points(1.0)))
+            self._log(
+                paths.MAP, rr.Points3D(static_map, colors=[shade], radii=rr.Radius.ui_points(1.0))
+            )
         self._flush()
 
     def close(self) -> None:
@@ -144,21 +176,34 @@ class LiveRecording:
 
     def _drawn(self, played: Played, dropped: int) -> Iterator[tuple[str, Any]]:
         """What is drawn of a labelled scan."""
-        scan, dynamic = played.scan, played.labels.dynamic
-        T, kept = scan.T_world_sensor, np.flatnonzero(~dynamic & np.isfinite(scan.points).all(1))
+        scan = played.scan
+        dynamic = played.labels.dynamic
+        T = scan.T_world_sensor
+        kept = np.flatnonzero(~dynamic & np.isfinite(scan.points).all(1))
         kept = kept[:: max(1, len(kept) // KEPT_POINTS)]
-        reasons = [self._info.reasons[code].name for code in np.unique(played.labels.reasons[dynamic])]
+        reasons = [
+            self._info.reasons[code].name for code in np.unique(played.labels.reasons[dynamic])
+        ]
         shades = SCAN_SHADE, colours.BRIGHT[Outcome.UNLABELLED_REMOVED]
         yield paths.SENSOR, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
-        yield paths.SCAN, rr.Points3D(scan.points[kept], colors=[shades[0]], radii=rr.Radius.ui_points(1.5))
+        yield (
+            paths.SCAN,
+            rr.Points3D(scan.points[kept], colors=[shades[0]], radii=rr.Radius.ui_points(1.5)),
+        )
         traces = scan.points[dynamic][:: max(1, math.ceil(dynamic.sum() / TRACE_POINTS))]
         shade = colours.FIRM[Outcome.UNLABELLED_REMOVED]
         yield TRACES, rr.Points3D(traces, colors=[shade], radii=rr.Radius.ui_points(1.0))
-        yield REMOVED, rr.Points3D(scan.points[dynamic], colors=[shades[1]], radii=rr.Radius.ui_points(3.0))
+        yield (
+            REMOVED,
+            rr.Points3D(scan.points[dynamic], colors=[shades[1]], radii=rr.Radius.ui_points(3.0)),
+        )
         yield LATENCY, rr.Scalars(1000 * played.seconds)
         yield DROPPED, rr.Scalars(dropped)
         yield f"{paths.REMOVED_POINTS}/removed", rr.Scalars(int(dynamic.sum()))
-        text = f"{int(dynamic.sum()):,} dynamic points ({', '.join(reasons) or 'none'}), {1000 * played.seconds:.0f} ms"
+        text = (
+            f"{int(dynamic.sum()):,} dynamic points ({', '.join(reasons) or 'none'}), "
+            f"{1000 * played.seconds:.0f} ms"
+        )
         yield paths.LOG, rr.TextLog(text, level=rr.TextLogLevel.INFO)
 
     def _roll(self) -> None:
@@ -172,7 +217,8 @@ class LiveRecording:
             self._file.disconnect()
         path = self._folder / f"live-{self._number:06d}{SUFFIX}"
         self._number += 1
-        self._file, self._segment_ends = self._started(path), now + SEGMENT
+        self._file = self._started(path)
+        self._segment_ends = now + SEGMENT
         self._segments.append(path)
         while len(self._segments) > self._room():
             with contextlib.suppress(OSError):
@@ -187,7 +233,9 @@ class LiveRecording:
         number = path.stem if path else "live"
         # The viewer keeps one layout per application: methods with other states need another.
         application = f"{paths.APPLICATION} live {self._info.name}"
-        stream = rr.RecordingStream(application, recording_id=str(uuid.uuid4()), send_properties=False)
+        stream = rr.RecordingStream(
+            application, recording_id=str(uuid.uuid4()), send_properties=False
+        )
         layout = _layout(self._info, self._period)
         if path is not None:
             stream.save(str(path), default_blueprint=layout)
@@ -215,7 +263,11 @@ class LiveRecording:
             self._flushed = now
             if self._file is not None:
                 self._file.flush(timeout_sec=5.0)
-            if self._viewer is not None and self._port is not None and not viewer.listens(self._port):
+            if (
+                self._viewer is not None
+                and self._port is not None
+                and not viewer.listens(self._port)
+            ):
                 self._viewer.disconnect()  # the window was closed
                 self._viewer = None
 
@@ -226,14 +278,19 @@ def _shown(info: MethodInfo) -> list[State]:
 
 
 def _layout(info: MethodInfo, period: float) -> Any:
-    """Left: the scan in the static map, with the dynamic points of the last seconds; below it the method's states."""
-    first, now = rrb.TimeRangeBoundary.cursor_relative, rrb.TimeRangeBoundary.cursor_relative()
+    """Left: the scan in the static map, with the dynamic points of the last seconds.
+
+    Below it the method's states.
+    """
+    first = rrb.TimeRangeBoundary.cursor_relative
+    now = rrb.TimeRangeBoundary.cursor_relative()
     # A range counts on its own timeline only; scans without stamps are on that of frames alone.
     past = [
         rrb.VisibleTimeRange(paths.FRAME, start=first(seq=-round(TRAIL / period)), end=now),
         rrb.VisibleTimeRange(paths.SENSOR_TIME, start=first(seconds=-TRAIL), end=now),
     ]
-    drawn, trail = [paths.MAP, paths.SCAN, REMOVED, TRACES, paths.RINGS, paths.SENSOR], rrb.VisibleTimeRanges(past)
+    drawn = [paths.MAP, paths.SCAN, REMOVED, TRACES, paths.RINGS, paths.SENSOR]
+    trail = rrb.VisibleTimeRanges(past)
     live = solid(TITLE, drawn, follow(), overrides={f"/{TRACES}": trail})
     tabs = [_tab(info, state) for state in _shown(info)]
     columns = rrb.TextLogColumns(timeline_columns=[paths.FRAME], text_log_columns=["Body"])
@@ -245,17 +302,24 @@ def _layout(info: MethodInfo, period: float) -> Any:
     )
     left = rrb.Vertical(live, rrb.Tabs(*tabs), row_shares=[3, 2]) if tabs else live
     layout = blueprint(rrb.Horizontal(left, numbers, column_shares=[3, 1]))
-    layout.time_panel = rrb.TimePanel(state="collapsed", timeline=paths.FRAME, play_state="following")
+    layout.time_panel = rrb.TimePanel(
+        state="collapsed", timeline=paths.FRAME, play_state="following"
+    )
     return layout
 
 
 def _tab(info: MethodInfo, state: State) -> Any:
     """A state in the static map, above its key."""
-    path, key = paths.state(info.name, state), paths.key(info.name, state)
+    path = paths.state(info.name, state)
+    key = paths.key(info.name, state)
     view = solid(state.name, [path, paths.MAP, paths.RINGS, paths.SENSOR], follow())
-    strip = rrb.Spatial2DView(name=keys.heading([state]), origin=key, background=[*colours.BACKGROUND, 255])
+    strip = rrb.Spatial2DView(
+        name=keys.heading([state]), origin=key, background=[*colours.BACKGROUND, 255]
+    )
     return rrb.Vertical(view, strip, name=state.name, row_shares=[KEY_SHARE, 1])
 
 
 def _curve(name: str, path: str) -> Any:
-    return rrb.TimeSeriesView(name=name, contents=[f"/{path}"], plot_legend=rrb.PlotLegend(visible=False))
+    return rrb.TimeSeriesView(
+        name=name, contents=[f"/{path}"], plot_legend=rrb.PlotLegend(visible=False)
+    )

@@ -1,4 +1,7 @@
-"""Objects over time, as lanes of the viewer's state timeline: what each did, what rays met, what a method decided."""
+"""Objects over time, as lanes of the viewer's state timeline.
+
+What each did, what rays met, what a method decided.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ Parts = Sequence[tuple[str, Span]]  # states with their spans, in the order of f
 def lanes(
     number: int, title: str, ghost: bool, parts: Mapping[str, Parts]
 ) -> Iterator[tuple[str, Any, list[int], Any]]:
-    """The lanes of an object: of each its path, its style, the frames at which its state changes, and the states.
+    """The lanes of an object.
+
+    Of each its path, its style, the frames at which its state changes, and the states.
 
     Args:
         number: of the object, 1 for the first.
@@ -31,9 +36,12 @@ def lanes(
     """
     shades = {state: (*colour, 255) for state, colour in colours.span_colours(ghost).items()}
     style = rr.StateConfiguration(values=list(shades), colors=list(shades.values()))
-    name = re.sub(r"\W+", "_", f"{number:02d} {title}").strip("_")  # paths escape spaces, which are hard to read
+    # paths escape spaces, which are hard to read
+    name = re.sub(r"\W+", "_", f"{number:02d} {title}").strip("_")
     for lane, states in parts.items():
-        changes = {span[1] + 1: "" for _, span in states} | {span[0]: state for state, span in states}
+        changes = {span[1] + 1: "" for _, span in states} | {
+            span[0]: state for state, span in states
+        }
         if changes:
             columns = rr.StateChange.columns(state=[changes[frame] for frame in sorted(changes)])
             yield f"{paths.OBJECTS}/{name}/{lane}", style, sorted(changes), columns

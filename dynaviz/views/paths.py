@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from dynaviz.contracts.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Voxels
+from dynaviz.contracts.probe import (
+    Mask,
+    Plane,
+    PointClasses,
+    Points,
+    PolarGrid,
+    RangeImage,
+    Scalar,
+    State,
+    Voxels,
+)
 from dynaviz.contracts.scan import Outcome
 
 APPLICATION = "dynaviz"
@@ -24,15 +34,19 @@ SENSOR = "world/sensor"  # the sensor's pose
 RINGS = "world/sensor/rings"  # circles around the sensor, at 10 m and 20 m
 FAILURES = "world/failures"  # a box around the wrong points of each failure case in this frame
 CASES = "world/failures/cases"  # static: a box around each case over all of its frames
-CLUSTERS = "world/clusters"  # the same two for the suspicious clusters of a run without ground truth
+CLUSTERS = (
+    "world/clusters"  # the same two for the suspicious clusters of a run without ground truth
+)
 CLUSTER_CASES = "world/clusters/cases"
-CASE_BOX = "world/case/box"  # the box of the case at the index; on the timeline of frames, of the frame's costliest
+# the box of the case at the index; on the timeline of frames, of the frame's costliest
+CASE_BOX = "world/case/box"
 CASE_NAME = "world/case/box/names"  # its label, above it
 CASE_AROUND = "world/case/around"  # a circle around it, which the eye tracks
 CASE_AIM = "world/case/aim"  # a line from the sensor to it
 CASE_RAYS = "world/case/rays"  # rays of all scans that hit or crossed it
 CASE_LEDGERS = "case/ledgers"  # ledgers of its points, packed; not displayed
-OBJECTS = "objects"  # below it for each of the first cases and lane (``dynaviz.scores.spans``) a ``StateChange``
+# below it for each of the first cases and lane (``dynaviz.scores.spans``) a ``StateChange``
+OBJECTS = "objects"
 CASE_TEXT = "case"  # Markdown: what happened, and why
 CASE_COST = "case_cost"  # curves over the timeline of cases: what each costs
 CASE_SCORE = "case_score"  # the same: scores if the cases up to each were right
@@ -58,7 +72,9 @@ FLAT = (RangeImage, PolarGrid)  # kinds of state drawn as images
 
 
 def state(method: str, state: State) -> str:
-    """A method's state: below ``world`` if it has coordinates, else (images, numbers) below the method's name."""
+    """A method's state: below ``world`` if it has coordinates, else (images, numbers) below the
+    method's name.
+    """
     if issubclass(state.kind, (*FLAT, Scalar)):
         return f"{method}/{state.name}"
     return f"{WORLD}/{method}/{state.name}" if issubclass(state.kind, SOLID) else LOG
@@ -75,7 +91,10 @@ def curve(name: str) -> str:
 
 
 def histogram(name: str) -> str:
-    """A metric's histogram by frame; that of the whole run is at ``.../run``, its 10 % line at ``.../p10``."""
+    """A metric's histogram by frame.
+
+    That of the whole run is at ``.../run``, its 10 % line at ``.../p10``.
+    """
     return name if name.split("/")[0] == ERROR_DISTANCE else f"{ERROR_DISTANCE}/{name}"
 
 

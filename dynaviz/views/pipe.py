@@ -1,4 +1,7 @@
-"""Writing the file of a recording so that errors are noticed: through a pipe on Linux, directly elsewhere."""
+"""Writing the file of a recording so that errors are noticed.
+
+Through a pipe on Linux, directly elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -60,8 +63,9 @@ class FileWriter:
 class PipeWriter(FileWriter):
     """A file that a library writes through a pipe, so that write errors are raised here.
 
-    Rerun writes files on its own thread. On a full disk that thread stops with a message on the screen, and later calls
-    of ``flush`` may block forever. The pipe is always read, so nothing blocks, and this class raises the error.
+    Rerun writes files on its own thread. On a full disk that thread stops with a message on the
+    screen, and later calls of ``flush`` may block forever. The pipe is always read, so nothing
+    blocks, and this class raises the error.
     """
 
     def __init__(self, path: Path) -> None:
@@ -70,7 +74,9 @@ class PipeWriter(FileWriter):
         self._closing = False
         self._copying = threading.Lock()
         self._out, self._in = os.pipe()
-        with contextlib.suppress(OSError):  # more than the system allows; a small pipe is only slower
+        with contextlib.suppress(
+            OSError
+        ):  # more than the system allows; a small pipe is only slower
             fcntl.fcntl(self._in, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         self._thread = threading.Thread(target=self._copy, name="recording", daemon=True)
         self._thread.start()

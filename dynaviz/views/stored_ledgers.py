@@ -23,7 +23,8 @@ class _Row(msgspec.Struct):
     point: int
 
 
-_decoder, _rows = msgspec.msgpack.Decoder(tuple[PointLedger, ...]), msgspec.msgpack.Decoder(tuple[_Row, ...])
+_decoder = msgspec.msgpack.Decoder(tuple[PointLedger, ...])
+_rows = msgspec.msgpack.Decoder(tuple[_Row, ...])
 
 
 def pack(ledgers: Sequence[PointLedger]) -> bytes:
@@ -32,7 +33,10 @@ def pack(ledgers: Sequence[PointLedger]) -> bytes:
 
 
 def unpack(packed: U8) -> tuple[PointLedger, ...]:
-    """The inverse of ``pack``; raises ``zlib.error`` or ``msgspec.DecodeError`` for damaged content."""
+    """The inverse of ``pack``.
+
+    Raises ``zlib.error`` or ``msgspec.DecodeError`` for damaged content.
+    """
     return _decoder.decode(zlib.decompress(packed.tobytes()))
 
 

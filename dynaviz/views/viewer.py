@@ -1,4 +1,7 @@
-"""The viewer program that comes with rerun-sdk: start it, only reachable from this machine, and stop it."""
+"""The viewer program that comes with rerun-sdk.
+
+Start it, only reachable from this machine, and stop it.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +30,16 @@ T = TypeVar("T")
 
 
 def program() -> str:
-    """Path of the viewer binary; terminating the ``rerun`` script around it would leave the viewer running."""
+    """Path of the viewer binary.
+
+    Terminating the ``rerun`` script around it would leave the viewer running.
+    """
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     path = Path(rerun_cli.__file__).with_name(name)
     if not path.is_file():
         raise MissingDependency(
-            f"the viewer is missing at {path}. Reinstall it with: pip install --force-reinstall rerun-sdk"
+            f"the viewer is missing at {path}. Reinstall it with: pip install --force-reinstall "
+            "rerun-sdk"
         )
     return str(path)
 
@@ -69,11 +76,15 @@ def listens(port: int) -> bool:
 
 def has_screen() -> bool:
     """Whether a window can be shown."""
-    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return sys.platform in ("darwin", "win32") or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
 
 
 def open_window(*recordings: Path) -> int:
-    """Open a viewer that outlives this process; returns the port on which it accepts more recordings.
+    """Open a viewer that outlives this process.
+
+    Returns the port on which it accepts more recordings.
 
     Raises:
         UsageError: if there is no screen.
@@ -81,14 +92,24 @@ def open_window(*recordings: Path) -> int:
     """
     if not has_screen():
         raise UsageError(
-            "there is no screen to open a viewer on. Use view --web for a browser, or view -o for pictures"
+            "there is no screen to open a viewer on. Use view --web for a browser, or view -o for "
+            "pictures"
         )
     port = free_port()
     with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
-            [program(), *map(str, recordings), f"--bind={HOME}", f"--port={port}", "--hide-welcome-screen"],
-            stdout=output, stderr=output, stdin=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+            [
+                program(),
+                *map(str, recordings),
+                f"--bind={HOME}",
+                f"--port={port}",
+                "--hide-welcome-screen",
+            ],
+            stdout=output,
+            stderr=output,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         wait_until_ready(process, port, output)
     return port
 
@@ -123,7 +144,9 @@ def headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
     ]  # fmt: skip
     with tempfile.TemporaryFile() as output:
         quiet = {**os.environ, "RUST_LOG": "error"}  # or messages would be drawn over the picture
-        process = subprocess.Popen(command, stdout=output, stderr=output, stdin=subprocess.DEVNULL, env=quiet)
+        process = subprocess.Popen(
+            command, stdout=output, stderr=output, stdin=subprocess.DEVNULL, env=quiet
+        )
         try:
             yield _connected(process, port, output)
         finally:
@@ -132,7 +155,9 @@ def headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
 
 
 def patient(request: Callable[[], T]) -> T:
-    """The answer of a viewer to a request, repeated while it is too busy; drawing in software may take long.
+    """The answer of a viewer to a request, repeated while it is too busy.
+
+    Drawing in software may take long.
 
     Raises:
         DynavizError: if it does not answer in time.
@@ -140,7 +165,9 @@ def patient(request: Callable[[], T]) -> T:
     for _ in range(ATTEMPTS):
         with contextlib.suppress(TimeoutError):  # the client waits 15 s or less
             return request()
-    raise DynavizError("the viewer does not answer in time. Try a smaller --size, or one view with --view-name")
+    raise DynavizError(
+        "the viewer does not answer in time. Try a smaller --size, or one view with --view-name"
+    )
 
 
 def _connected(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> ViewerClient:

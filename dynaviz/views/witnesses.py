@@ -1,4 +1,7 @@
-"""Rays of the scans that touched points, to draw: from the sensor to the point, or beyond it where they crossed it."""
+"""Rays of the scans that touched points, to draw.
+
+From the sensor to the point, or beyond it where they crossed it.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,9 @@ class TouchingRays:
 
 
 def rays_of(ledgers: Sequence[PointLedger], most: int | None = None) -> TouchingRays:
-    """The rays of ledgers; of many the ``most``, half of them hits if there are enough of each, spread over scans."""
+    """The rays of ledgers; of many the ``most``, half of them hits if there are enough of each,
+    spread over scans.
+    """
     found = [ray for ledger in ledgers for entry in ledger.entries for ray in _rays(ledger, entry)]
     found.sort(key=lambda ray: ray[0])
     frames = np.array([frame for frame, *_ in found], np.int64)
@@ -47,15 +52,19 @@ def rays_of(ledgers: Sequence[PointLedger], most: int | None = None) -> Touching
     strips = np.array([ends for *_, ends in found], np.float32).reshape(-1, 2, 3)
     if most is None or len(found) <= most:
         return TouchingRays(frames, kinds, strips)
-    hits, passes = np.flatnonzero(kinds == HIT), np.flatnonzero(kinds != HIT)
+    hits = np.flatnonzero(kinds == HIT)
+    passes = np.flatnonzero(kinds != HIT)
     many = min(len(hits), max(most // 2, most - len(passes)))
-    chosen = np.sort(np.concatenate([hits[evenly(len(hits), many)], passes[evenly(len(passes), most - many)]]))
+    chosen = np.sort(
+        np.concatenate([hits[evenly(len(hits), many)], passes[evenly(len(passes), most - many)]])
+    )
     return TouchingRays(frames[chosen], kinds[chosen], strips[chosen])
 
 
 def _rays(ledger: PointLedger, entry: LedgerEntry) -> list[tuple[int, int, F64]]:
     """At most two rays of a scan: frame, class and ends."""
-    start, point = np.array(entry.sensor), np.array(ledger.position)
+    start = np.array(entry.sensor)
+    point = np.array(ledger.position)
     rays = [(entry.frame, HIT, np.stack([start, point]))] if entry.hits else []
     if entry.crossed:
         behind = min(entry.behind_m or 0.0, BEYOND)
@@ -73,9 +82,16 @@ def evenly(count: int, most: int) -> Intp:
 
 
 def spans_of_rays(ledgers: Sequence[PointLedger]) -> Spans:
-    """When scans ``hit`` and ``crossed`` the place of points; a scan that did both counts as what most of them met."""
+    """When scans ``hit`` and ``crossed`` the place of points.
+
+    A scan that did both counts as what most of them met.
+    """
     balance: Counter[int] = Counter()
-    for entry in (entry for ledger in ledgers for entry in ledger.entries if entry.hits or entry.crossed):
+    for entry in (
+        entry for ledger in ledgers for entry in ledger.entries if entry.hits or entry.crossed
+    ):
         balance[entry.frame] += (entry.hits > 0) - (entry.crossed > 0)
     hit = {frame: count >= 0 for frame, count in sorted(balance.items())}
-    return {name: spans_of(f for f in hit if hit[f] == (name == "hit")) for name in ("hit", "crossed")}
+    return {
+        name: spans_of(f for f in hit if hit[f] == (name == "hit")) for name in ("hit", "crossed")
+    }

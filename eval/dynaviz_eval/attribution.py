@@ -16,7 +16,8 @@ SPARSE = 2.0  # points per cell and frame; with fewer, the rings are too far apa
 STATIONARY = 1.0  # metres: a case that moves less did not move, in sentences
 SLOW = 0.1  # metres per frame: slower than anyone walks in front of most sensors
 LONG = 10  # frames: what is slow in at least this many frames stands for long
-MEASURED = 0.15  # share of the points of a case that must lie on a surface, to tell at which angle rays meet it
+# share of the points of a case that must lie on a surface, to tell at which angle rays meet it
+MEASURED = 0.15
 GRAZED = 0.5  # of its measured surface: with more at small angles, these are the cause
 FLAT = 0.6  # metres: a case lower than this and wider than WIDE is a level surface
 WIDE = 1.5  # metres
@@ -31,11 +32,14 @@ _VISIBILITY = (
 )
 
 
-def causes_of(kind: str, total: NDArray[np.void], reasons: Sequence[Reason]) -> list[tuple[Cause | None, int]]:
+def causes_of(
+    kind: str, total: NDArray[np.void], reasons: Sequence[Reason]
+) -> list[tuple[Cause | None, int]]:
     """The cause of each case, and the code of the reason that decided it.
 
-    The most frequent cause among the method's reasons, refined by angles and motion: a method knows only whether rays
-    passed, and these show which of the paper's failures it is. The reason is the most frequent one with that cause.
+    The most frequent cause among the method's reasons, refined by angles and motion: a method knows
+    only whether rays passed, and these show which of the paper's failures it is. The reason is the
+    most frequent one with that cause.
 
     Args:
         kind: ``false_negative`` or ``false_positive``.
@@ -48,7 +52,8 @@ def causes_of(kind: str, total: NDArray[np.void], reasons: Sequence[Reason]) -> 
     refine = _refine_removed if kind == "false_positive" else _refine_kept
     found = []
     for case, most in zip(total, by_cause.argmax(1).tolist(), strict=True):
-        cause, code = known[most], int(np.where(of_code == most, case["reasons"], -1).argmax())
+        cause = known[most]
+        code = int(np.where(of_code == most, case["reasons"], -1).argmax())
         found.append((refine(case, cause) if cause in _VISIBILITY else cause, code))
     return found
 
@@ -59,23 +64,37 @@ def _refine_removed(case: np.void, cause: Cause) -> Cause:
         return Cause.SHARED_CELL
     if (grazed_share(case) or 0.0) > GRAZED:
         return Cause.GRAZING_RAYS
-    if _is_sparse(case) or (is_ground(case) and 2 * case["surface"] < case["points"]):  # a single ring has no surface
+    if _is_sparse(case) or (
+        is_ground(case) and 2 * case["surface"] < case["points"]
+    ):  # a single ring has no surface
         return Cause.SPARSE_RINGS
     return Cause.PARTLY_EMPTY if cause is Cause.GRAZING_RAYS else cause
 
 
 def _refine_kept(case: np.void, cause: Cause) -> Cause:
-    """Why rays did not show that the place of dynamic points is free: hits outweigh them, or too few passed."""
+    """Why rays did not show that the place of dynamic points is free.
+
+    Hits outweigh them, or too few passed.
+    """
     if cause in (Cause.STANDING, Cause.OCCUPIED):
         long = case["frames"] >= LONG and case["moved"] < SLOW * case["frames"]
         return Cause.STANDING if long else Cause.OCCUPIED
-    return Cause.SPARSE_RINGS if cause is Cause.SPARSE_RINGS or _is_sparse(case) else Cause.NOTHING_BEHIND
+    return (
+        Cause.SPARSE_RINGS
+        if cause is Cause.SPARSE_RINGS or _is_sparse(case)
+        else Cause.NOTHING_BEHIND
+    )
 
 
 def grazed_share(case: np.void) -> float | None:
-    """The share of the surface of a case that its rays meet at a small angle; None if too little is measured."""
+    """The share of the surface of a case that its rays meet at a small angle.
+
+    None if too little is measured.
+    """
     surface = int(case["surface"])
-    return int(case["grazed"]) / surface if surface and surface >= MEASURED * case["points"] else None
+    return (
+        int(case["grazed"]) / surface if surface and surface >= MEASURED * case["points"] else None
+    )
 
 
 def _is_sparse(case: np.void) -> bool:
@@ -92,7 +111,9 @@ def is_ground(case: np.void) -> bool:
 
 
 def shape(kind: str, case: np.void) -> str:
-    """Name a case, a row of ``cases.summed``, by its height above ground and its size, without class names."""
+    """Name a case, a row of ``cases.summed``, by its height above ground and its size, without
+    class names.
+    """
     size = case["high"] - case["low"]
     if kind == "false_negative":
         return "moving object"
@@ -106,10 +127,14 @@ def shape(kind: str, case: np.void) -> str:
 
 
 def when_and_where(case: Mapping[str, Any]) -> str:
-    """Frames, ranges and behaviour of a case, such as ``41 frames, 8 to 30 m away, stood still until the end``."""
-    near, far = case["range"]["min"], case["range"]["max"]
+    """Frames, ranges and behaviour of a case, such as ``41 frames, 8 to 30 m away, stood still
+    until the end``.
+    """
+    near = case["range"]["min"]
+    far = case["range"]["max"]
     metres = f"{near:.0f} to {far:.0f} m" if round(near) != round(far) else f"{near:.0f} m"
-    frames, behaviour = f"{case['frames']} frame{'s' * (case['frames'] > 1)}", case.get("behaviour")
+    frames = f"{case['frames']} frame{'s' * (case['frames'] > 1)}"
+    behaviour = case.get("behaviour")
     if behaviour == Behaviour.FAR_AWAY:
         return f"{frames}, far away ({metres})"
     return ", ".join([frames, f"{metres} away", *([behaviour] if behaviour else [])])
@@ -117,11 +142,16 @@ def when_and_where(case: Mapping[str, Any]) -> str:
 
 def extent(case: Mapping[str, Any]) -> str:
     """The size of a case, such as ``2.0 x 1.0 x 0.5 m``."""
-    return " x ".join(f"{high - low:.1f}" for low, high in zip(case["low"], case["high"], strict=True)) + " m"
+    return (
+        " x ".join(f"{high - low:.1f}" for low, high in zip(case["low"], case["high"], strict=True))
+        + " m"
+    )
 
 
 def sentence(case: Mapping[str, Any], meaning: str, patches: bool = False) -> str:
-    """Describe a failure case in two short sentences: what the object did, and why the method decided as it did.
+    """Describe a failure case in two short sentences.
+
+    What the object did, and why the method decided as it did.
 
     Args:
         case: its plain values.
@@ -130,8 +160,12 @@ def sentence(case: Mapping[str, Any], meaning: str, patches: bool = False) -> st
     """
     name = " ".join(str(part) for part in (case["what"], case.get("instance")) if part is not None)
     if case["kind"] == "false_negative":
-        moved = f"moved {case['moved']:.0f} m" if case["moved"] >= STATIONARY else "moved less than 1 m"
-        fact = f"Kept: {name}, {when_and_where(case)}" + ("." if case.get("behaviour") else f", {moved}.")
+        moved = (
+            f"moved {case['moved']:.0f} m" if case["moved"] >= STATIONARY else "moved less than 1 m"
+        )
+        fact = f"Kept: {name}, {when_and_where(case)}" + (
+            "." if case.get("behaviour") else f", {moved}."
+        )
     else:
         name += " in patches within" if patches else ","
         fact = f"Removed: {name} {extent(case)}, {when_and_where(case)}."

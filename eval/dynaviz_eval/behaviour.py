@@ -1,4 +1,7 @@
-"""What objects and places did during the drive, from the data alone: half of the diagnosis of a failure case."""
+"""What objects and places did during the drive, from the data alone.
+
+Half of the diagnosis of a failure case.
+"""
 
 from __future__ import annotations
 
@@ -18,25 +21,28 @@ from dynaviz_eval.cases import EDGE, GAP, Cases, FramePoints, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT, scan_squared_ranges
 from dynaviz_eval.sorted_runs import SortedRuns
 
-WINDOW = 10  # frames: motion is measured over a second of most sensors, long enough to exceed the noise of boxes
+# frames: motion is measured over a second of most sensors, long enough to exceed the noise of boxes
+WINDOW = 10
 STILL = 0.5  # metres in a window: slower than anyone walks
 LATE = 0.75  # of the drive: less than a quarter of it is left to show that the place is free again
 END = 10  # frames: seen in these last frames of the drive only
 REACH = 3.0  # metres above the ground: what is higher, such as a bridge, touches no road user
-FAR = 30.0  # metres: a car has a few dozen points there, and rays pass between the rings of a spinning sensor
+# metres: a car has a few dozen points there, and rays pass between the rings of a spinning sensor
+FAR = 30.0
 BRIEF = 5  # frames: too few hits to decide by
 TRACKS = 1000  # objects that are remembered
 CELL = 1.0  # metres: edge of a cell of a place
 PLACES = 100_000  # cells in memory; more are stored on disk
 _RECORD = np.dtype([("key", np.int64), ("visits", np.int32, 3)])
-SAMPLE = 15_000  # points of a scan that look for its cells: consecutive points are much closer than a cell
+# points of a scan that look for its cells: consecutive points are much closer than a cell
+SAMPLE = 15_000
 
 
 class Objects:
     """Follows the dynamic objects of a run, also where the method was right.
 
-    Objects are separated by class and number if the data have them; otherwise points whose cells touch belong to one
-    object, as for failure cases.
+    Objects are separated by class and number if the data have them; otherwise points whose cells
+    touch belong to one object, as for failure cases.
     """
 
     def __init__(self) -> None:
@@ -44,54 +50,87 @@ class Objects:
         self._frame = 0
 
     def add(self, labelled: Labelled, heights: F32 | None) -> None:
-        """Add a scan with ground truth; heights (N,) above the ground, metres, or None if unknown."""
-        scan, self._frame = labelled.scan, labelled.frame
-        dynamic, near = scan.labels == Label.DYNAMIC, np.zeros(len(scan), np.bool_)
+        """Add a scan with ground truth.
+
+        Heights (N,) above the ground, metres, or None if unknown.
+        """
+        scan = labelled.scan
+        self._frame = labelled.frame
+        dynamic = scan.labels == Label.DYNAMIC
+        near = np.zeros(len(scan), np.bool_)
         if heights is not None:
-            standing = (scan.labels == Label.STATIC) & (heights >= GROUND_HEIGHT) & (heights < REACH)
+            standing = (
+                (scan.labels == Label.STATIC) & (heights >= GROUND_HEIGHT) & (heights < REACH)
+            )
             near = kernels.touching.columns(scan.points, dynamic, standing, EDGE)
         chosen = np.flatnonzero(dynamic)
         chosen = chosen[in_key_range(scan.points[chosen], EDGE)]
-        groups, none = groups_of(scan, chosen, True), np.zeros(len(chosen), np.uint8)
+        groups = groups_of(scan, chosen, True)
+        none = np.zeros(len(chosen), np.uint8)
         ranges = np.sqrt(scan_squared_ranges(scan)[chosen])
-        self._cases.add(FramePoints(labelled.frame, scan.points[chosen], groups, none, ranges, near[chosen]))
+        self._cases.add(
+            FramePoints(labelled.frame, scan.points[chosen], groups, none, ranges, near[chosen])
+        )
 
     def finish(self) -> None:
         """Complete the tracks; call it after the last scan."""
         self._cases.settle(self._frame + GAP + 1)
 
     def behaviour(self, rows: NDArray[np.void]) -> Behaviour | None:
-        """What the object did to which wrong points belong, given the rows of their case; None if unknown."""
+        """What the object did to which wrong points belong, given the rows of their case.
+
+        None if unknown.
+        """
         track = self._track(rows)
         return behaviour_of_object(track, self._frame) if len(track) else None
 
     def spans(self, rows: NDArray[np.void]) -> Spans:
-        """When the object was moving, standing, and kept: mostly, partly or not; given the rows of its kept points."""
+        """When the object was moving, standing, and kept: mostly, partly or not.
+
+        Given the rows of its kept points.
+        """
         track = self._track(rows)
         if not len(track):
             return {"kept": spans_of(rows["frame"].tolist())}
-        frames, stood = track["frame"], standing(track)
+        frames = track["frame"]
+        stood = standing(track)
         wrong = np.bincount(rows["frame"], rows["points"], self._frame + 1)
-        kept, none = 2 * wrong[frames] > track["points"], wrong[frames] == 0
-        parts = {"moving": ~stood, "standing": stood, "kept": kept, "partly": ~kept & ~none, "removed": none}
-        return {state: spans_of(frames[rows].tolist()) for state, rows in parts.items() if rows.any()}
+        kept = 2 * wrong[frames] > track["points"]
+        none = wrong[frames] == 0
+        parts = {
+            "moving": ~stood,
+            "standing": stood,
+            "kept": kept,
+            "partly": ~kept & ~none,
+            "removed": none,
+        }
+        return {
+            state: spans_of(frames[rows].tolist()) for state, rows in parts.items() if rows.any()
+        }
 
     def _track(self, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The object in all frames, one row each."""
         row = rows[np.argmax(rows["points"])]
         known: NDArray[np.void] = self._cases.rows[self._cases.rows["group"] == row["group"]]
-        if not row["group"] & 0xFFFFFFFF:  # no number: the smallest object whose box contains that of the case
+        if (
+            not row["group"] & 0xFFFFFFFF
+        ):  # no number: the smallest object whose box contains that of the case
             here = known[known["frame"] == row["frame"]]
             here = here[(here["low"] <= row["low"]).all(1) & (here["high"] >= row["high"]).all(1)]
             if not len(here):
                 return known[:0]
-            known = known[known["case"] == here["case"][np.argmin((here["high"] - here["low"]).prod(1))]]
+            known = known[
+                known["case"] == here["case"][np.argmin((here["high"] - here["low"]).prod(1))]
+            ]
         track, _ = pooled(known, ("frame",))
         return track
 
 
 def groups_of(scan: Scan, chosen: NDArray[np.intp], objects: bool) -> I64:
-    """(K,) int64: class and, for objects, number of the chosen points, packed into one number; 0 if unknown."""
+    """(K,) int64: class and, for objects, number of the chosen points, packed into one number.
+
+    0 if unknown.
+    """
     groups = np.zeros(len(chosen), np.int64)
     if scan.classes is not None:
         groups += (scan.classes[chosen].astype(np.int64) + 1) << 32
@@ -107,7 +146,8 @@ def behaviour_of_object(track: NDArray[np.void], end: int) -> Behaviour:
         track: (R,) rows of the object, as in ``Cases.rows``, one per frame, in the order of frames.
         end: the last frame of the drive.
     """
-    first, last = int(track["frame"][0]), int(track["frame"][-1])
+    first = int(track["frame"][0])
+    last = int(track["frame"][-1])
     stood = standing(track)
     if stood[-1]:
         return Behaviour.STOOD
@@ -121,16 +161,21 @@ def behaviour_of_object(track: NDArray[np.void], end: int) -> Behaviour:
         return Behaviour.ARRIVED_LATE
     if track["ranges"].sum() > FAR * track["points"].sum():
         return Behaviour.FAR_AWAY
-    return Behaviour.TOUCHED if 2 * track["touching"].sum() > track["points"].sum() else Behaviour.PASSED_BY
+    return (
+        Behaviour.TOUCHED
+        if 2 * track["touching"].sum() > track["points"].sum()
+        else Behaviour.PASSED_BY
+    )
 
 
 def standing(track: NDArray[np.void]) -> Bool:
     """(R,) bool: whether the object stands still in each row, for at least ``WINDOW`` frames.
 
-    A sensor that drives past sees another side of an object, which moves one end of the box of its points. The object
-    itself has moved only if both ends did, so the shorter way of both counts.
+    A sensor that drives past sees another side of an object, which moves one end of the box of its
+    points. The object itself has moved only if both ends did, so the shorter way of both counts.
     """
-    frames, stood = track["frame"], np.zeros(len(track), np.bool_)
+    frames = track["frame"]
+    stood = np.zeros(len(track), np.bool_)
     ends = np.searchsorted(frames, frames + WINDOW)
     for i in np.flatnonzero(ends < len(track)):
         stood[i : ends[i] + 1] |= shift(track[i], track[ends[i]]) < STILL
@@ -138,39 +183,61 @@ def standing(track: NDArray[np.void]) -> Bool:
 
 
 def shift(row: np.void, other: np.void) -> float:
-    """How far a box moved between two rows, seen from above, metres; 0 if it only grew or shrank."""
+    """How far a box moved between two rows, seen from above, metres.
+
+    0 if it only grew or shrank.
+    """
     low, high = (other[name][:2].astype(np.float64) - row[name][:2] for name in ("low", "high"))
     return float(np.hypot(*np.where(low * high > 0, np.minimum(np.abs(low), np.abs(high)), 0.0)))
 
 
 class VisitedPlaces:
-    """Remembers when each cell of the map was hit; the cells of large maps are stored on disk during the run.
+    """Remembers when each cell of the map was hit.
+
+    The cells of large maps are stored on disk during the run.
 
     Args:
         held: cells in memory.
     """
 
     def __init__(self, held: int = PLACES) -> None:
-        self._keys, self._visits, self._used = np.full(1 << 16, -1, np.int64), np.empty((1 << 16, 3), np.int32), 0
-        self._frame, self._held = 0, held
+        self._keys = np.full(1 << 16, -1, np.int64)
+        self._visits = np.empty((1 << 16, 3), np.int32)
+        self._used = 0
+        self._frame = 0
+        self._held = held
         self._stored = SortedRuns(_RECORD)
 
     def add(self, frame: int, points: F32) -> None:
-        """Add the points of a scan, (N, 3) float32, metres, world frame; a scan's own, read-only array."""
-        self._frame, begin, step, visits = frame, 0, max(1, len(points) // SAMPLE), kernels.visits
+        """Add the points of a scan, (N, 3) float32, metres, world frame.
+
+        A scan's own, read-only array.
+        """
+        self._frame = frame
+        begin = 0
+        step = max(1, len(points) // SAMPLE)
+        visits = kernels.visits
         while begin < len(points):
-            begin, self._used = visits.visit(points, begin, step, frame, CELL, self._keys, self._visits, self._used)
+            begin, self._used = visits.visit(
+                points, begin, step, frame, CELL, self._keys, self._visits, self._used
+            )
             if begin < len(points):
-                self._keys, self._visits = visits.grow(self._keys, self._visits, 2 * len(self._keys))
+                self._keys, self._visits = visits.grow(
+                    self._keys, self._visits, 2 * len(self._keys)
+                )
         if self._used > self._held:  # between frames, so that no frame counts twice
             self._store()
 
     def visits(self, low: F32, high: F32) -> I32:
-        """(K, 3) int32: first frame, last frame and number of frames of the cells within a box; after the last scan."""
+        """(K, 3) int32: first frame, last frame and number of frames of the cells within a box.
+
+        After the last scan.
+        """
         if self._used:
             self._store()
         first, last = (
-            np.clip(np.floor(corner / CELL), -KEY_REACH, KEY_REACH - 1).astype(np.int64) for corner in (low, high)
+            np.clip(np.floor(corner / CELL), -KEY_REACH, KEY_REACH - 1).astype(np.int64)
+            for corner in (low, high)
         )
         columns = [(int(x) + KEY_REACH) << X_SHIFT for x in (first[0], last[0] + 1)]
         records = self._stored.between(*columns)
@@ -188,13 +255,17 @@ class VisitedPlaces:
         """Move all cells to the disk."""
         used = self._keys >= 0
         records = np.empty(self._used, _RECORD)
-        records["key"], records["visits"] = self._keys[used], self._visits[used]
+        records["key"] = self._keys[used]
+        records["visits"] = self._visits[used]
         self._stored.append(records)
         self._keys.fill(-1)
         self._used = 0
 
     def behaviour(self, case: np.void) -> Behaviour | None:
-        """What the place of a case of static points did, given its row of ``summed``; None if unknown."""
+        """What the place of a case of static points did, given its row of ``summed``.
+
+        None if unknown.
+        """
         return behaviour_of_place(case, self.visits(case["low"], case["high"]), self._frame)
 
 
@@ -203,7 +274,8 @@ def behaviour_of_place(case: np.void, visits: I32, end: int) -> Behaviour | None
 
     Args:
         case: the case, a row of ``summed``; ``touching`` counts points next to dynamic ones.
-        visits: (K, 3) first frame, last frame and number of frames in which each of its cells was hit.
+        visits: (K, 3) first frame, last frame and number of frames in which each of its cells was
+            hit.
         end: the last frame of the drive.
     """
     if 2 * case["touching"] > case["points"]:

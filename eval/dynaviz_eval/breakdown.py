@@ -21,10 +21,13 @@ HEIGHTS = (-np.inf, 0.2, 0.5, 1.0, 2.0, 4.0, np.inf)
 
 
 class BreakdownMetric:
-    """Section ``breakdown``: lists ``range``, ``height``, ``frame`` and ``object`` with counts and percentages.
+    """Section ``breakdown``.
 
-    Range and height bins include their lower edge, ``from``; None is an open end. Points without finite coordinates
-    count in the last bin. An object's ``reasons`` are the reasons of its wrongly kept points, most frequent first.
+    Lists ``range``, ``height``, ``frame`` and ``object`` with counts and percentages.
+
+    Range and height bins include their lower edge, ``from``; None is an open end. Points without
+    finite coordinates count in the last bin. An object's ``reasons`` are the reasons of its wrongly
+    kept points, most frequent first.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -35,10 +38,13 @@ class BreakdownMetric:
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the points of one scan."""
-        scan, outcome = labelled.scan, labelled.outcome
+        scan = labelled.scan
+        outcome = labelled.outcome
         self._range += _count_by_bin(np.sqrt(scan_squared_ranges(scan)), RANGES, outcome)
         self._height += _count_by_bin(scan_heights(scan), HEIGHTS, outcome)
-        self._frames.extend([labelled.frame, scan.index, *np.bincount(outcome, minlength=len(Outcome)).tolist()])
+        self._frames.extend(
+            [labelled.frame, scan.index, *np.bincount(outcome, minlength=len(Outcome)).tolist()]
+        )
         self._objects.add(labelled)
         return {}
 
@@ -50,7 +56,9 @@ class BreakdownMetric:
                 "height": _rows(HEIGHTS, self._height),
                 "frame": [
                     {"frame": frame, "index": index, **Counts.of_histogram(counts).row()}
-                    for frame, index, *counts in np.array(self._frames).reshape(-1, 2 + len(Outcome)).tolist()
+                    for frame, index, *counts in np.array(self._frames)
+                    .reshape(-1, 2 + len(Outcome))
+                    .tolist()
                 ],
                 "object": self._objects.rows(),
             }
@@ -62,12 +70,19 @@ class BreakdownMetric:
 
 
 class _Objects:
-    """Counts by class and instance. An object that stops, and changes its class because of that, starts a new row."""
+    """Counts by class and instance.
+
+    An object that stops, and changes its class because of that, starts a new row.
+    """
 
     def __init__(self, reasons: Sequence[str]) -> None:
         self._names = [*reasons, "unknown code"]
-        self._by_outcome: defaultdict[tuple[int, int], I64] = defaultdict(lambda: np.zeros(len(Outcome), np.int64))
-        self._by_reason: defaultdict[tuple[int, int], I64] = defaultdict(lambda: np.zeros(len(self._names), np.int64))
+        self._by_outcome: defaultdict[tuple[int, int], I64] = defaultdict(
+            lambda: np.zeros(len(Outcome), np.int64)
+        )
+        self._by_reason: defaultdict[tuple[int, int], I64] = defaultdict(
+            lambda: np.zeros(len(self._names), np.int64)
+        )
         self._frames: dict[tuple[int, int], tuple[int, int]] = {}
 
     def add(self, labelled: Labelled) -> None:
@@ -79,7 +94,8 @@ class _Objects:
             part_of_object |= scan.instances != 0
         chosen = np.flatnonzero(part_of_object)
         classes, instances = (
-            np.int64(0) if ids is None else ids[chosen].astype(np.int64) for ids in (scan.classes, scan.instances)
+            np.int64(0) if ids is None else ids[chosen].astype(np.int64)
+            for ids in (scan.classes, scan.instances)
         )
         keys, which = np.unique(classes << 32 | instances, return_inverse=True)
         outcome = labelled.outcome[chosen]
@@ -97,12 +113,24 @@ class _Objects:
         """Objects with at least one dynamic point, most missed points first."""
         rows = []
         for (of_class, instance), by_outcome in self._by_outcome.items():
-            counts, (first, last) = Counts.of_histogram(by_outcome), self._frames[of_class, instance]
+            counts = Counts.of_histogram(by_outcome)
+            (first, last) = self._frames[of_class, instance]
             if counts.dynamic_removed + counts.dynamic_kept:
-                place = {"class": of_class, "instance": instance, "first_frame": first, "last_frame": last}
+                place = {
+                    "class": of_class,
+                    "instance": instance,
+                    "first_frame": first,
+                    "last_frame": last,
+                }
                 wrong = self._by_reason[of_class, instance]
-                by_name = {self._names[k]: int(wrong[k]) for k in np.argsort(-wrong, kind="stable") if wrong[k]}
-                rows.append({**place, "points": int(by_outcome.sum()), **counts.row(), "reasons": by_name})
+                by_name = {
+                    self._names[k]: int(wrong[k])
+                    for k in np.argsort(-wrong, kind="stable")
+                    if wrong[k]
+                }
+                rows.append(
+                    {**place, "points": int(by_outcome.sum()), **counts.row(), "reasons": by_name}
+                )
         return sorted(rows, key=lambda row: (-row["dynamic_kept"], row["class"], row["instance"]))
 
 

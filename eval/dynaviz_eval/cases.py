@@ -1,4 +1,7 @@
-"""Join wrong points into cases, frame by frame; memory grows neither with points nor with small cases."""
+"""Join wrong points into cases, frame by frame.
+
+Memory grows neither with points nor with small cases.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ KEEP = 100  # cases listed individually
 MEASURED_EVERY = 20  # points of a case in a frame for one whose surface is measured
 MOST_MEASURED = 32  # of these
 EVERY = 16  # frames between two clean-ups, which drop small cases that are over
-CASE, LAST = 1, 2  # columns of remembered cells
+# columns of remembered cells
+CASE = 1
+LAST = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +44,8 @@ class FramePoints:
         ranges: (N,) float32, metres from the sensor.
         touching: (N,) bool, True next to points of another kind, such as dynamic ones.
         ground: (N,) bool, True on the ground; None if unknown.
-        angles: given rows of ``points``, the angles at which their rays meet the surface; None if unknown.
+        angles: given rows of ``points``, the angles at which their rays meet the surface; None if
+            unknown.
     """
 
     frame: int
@@ -55,13 +61,15 @@ class FramePoints:
 class Cases:
     """Joins the points of one kind of error into cases.
 
-    A case grows by cells that touch it, in the same frame or up to ``GAP`` frames later, so it follows moving objects.
-    Points of different groups never join. ``rows`` contains one row per case and frame, for the cases that are kept.
+    A case grows by cells that touch it, in the same frame or up to ``GAP`` frames later, so it
+    follows moving objects. Points of different groups never join. ``rows`` contains one row per
+    case and frame, for the cases that are kept.
 
     Args:
         reasons: number of reason codes.
         span: maximum extent of a case along an axis, metres; larger ones are split.
-        dropped: receives the small cases that are over and no longer kept, one row each (``summed``).
+        dropped: receives the small cases that are over and no longer kept, one row each
+            (``summed``).
         keep: number of cases that are kept when they are over, largest first.
     """
 
@@ -75,16 +83,21 @@ class Cases:
         self._limit = int(min(span / EDGE, 1 << 30))
         self.kind = np.dtype(
             [
-                ("case", np.int64), ("frame", np.int64), ("group", np.int64), ("points", np.int64), ("cells", np.int64),
-                ("touching", np.int64), ("ground", np.int64), ("surface", np.int64), ("grazed", np.int64),
+                ("case", np.int64), ("frame", np.int64), ("group", np.int64), ("points", np.int64),
+                ("cells", np.int64),
+                ("touching", np.int64), ("ground", np.int64), ("surface", np.int64),
+                ("grazed", np.int64),
                 ("low", np.float32, 3), ("high", np.float32, 3),
-                ("near", np.float32), ("far", np.float32), ("ranges", np.float64), ("reasons", np.int64, reasons),
+                ("near", np.float32), ("far", np.float32), ("ranges", np.float64),
+                ("reasons", np.int64, reasons),
             ]
         )  # fmt: skip
         self.rows = np.empty(0, self.kind)
-        self._dropped, self._keep = dropped, keep
+        self._dropped = dropped
+        self._keep = keep
         self._new: list[NDArray[np.void]] = []
-        self._table, self._cells = np.full(1024, -1, np.int64), np.empty((1024, 3), np.int64)
+        self._table = np.full(1024, -1, np.int64)
+        self._cells = np.empty((1024, 3), np.int64)
         self._remembered = 0
         self._parent = np.empty(0, np.int32)
         self._low = self._high = np.empty((0, 3), np.int32)
@@ -99,28 +112,40 @@ class Cases:
 
     def _rows(self, wrong: FramePoints) -> NDArray[np.void]:
         """Link the points of a frame to cases; one row for each of its cases."""
-        frame, points, groups, reasons = wrong.frame, wrong.points, wrong.groups, wrong.reasons
+        frame = wrong.frame
+        points = wrong.points
+        groups = wrong.groups
+        reasons = wrong.reasons
         self._make_room(len(points))
         of_point, first, fresh, self._used = kernels.cases.link(
             pack(points, EDGE), groups, frame, GAP, self._limit,
             self._table, self._cells, self._parent, self._low, self._high, self._used,
         )  # fmt: skip
         self._remembered += fresh
-        of_point = kernels.cases.roots(self._parent, self._used)[of_point]  # cases may have joined since
+        # cases may have joined since
+        of_point = kernels.cases.roots(self._parent, self._used)[of_point]
         case, counts, low, high, sums, crossed = kernels.cases.fold(
             of_point, self._used, points, wrong.ranges, first, wrong.touching,
-            first & False if wrong.ground is None else wrong.ground, reasons, self.kind["reasons"].shape[0],
+            first & False if wrong.ground is None else wrong.ground, reasons,
+            self.kind["reasons"].shape[0],
         )  # fmt: skip
         rows = np.zeros(len(case), self.kind)
-        rows["case"], rows["frame"], rows["group"], rows["ranges"] = case, frame, groups[counts[:, 0]], sums
+        rows["case"] = case
+        rows["frame"] = frame
+        rows["group"] = groups[counts[:, 0]]
+        rows["ranges"] = sums
         for column, name in enumerate(("points", "cells", "touching", "ground"), 1):
             rows[name] = counts[:, column]
-        rows["low"], rows["high"], rows["near"], rows["far"] = low[:, :3], high[:, :3], low[:, 3], high[:, 3]
+        rows["low"] = low[:, :3]
+        rows["high"] = high[:, :3]
+        rows["near"] = low[:, 3]
+        rows["far"] = high[:, 3]
         rows["reasons"] = crossed
         if wrong.angles is not None:
             row = np.searchsorted(case, of_point)
             measured = _spread_over(row, rows["points"])
-            found, of = wrong.angles(measured), row[measured]
+            found = wrong.angles(measured)
+            of = row[measured]
             weights = (rows["points"] / np.bincount(of))[of]
             for name, chosen in (("surface", found >= 0), ("grazed", found < GRAZING)):
                 rows[name] = np.bincount(of, weights * chosen)
@@ -129,44 +154,54 @@ class Cases:
     def _make_room(self, more: int) -> None:
         room = 2 * (self._remembered + more)
         if room > len(self._table):
-            self._table, self._cells = kernels.cases.remember(self._table, self._cells, 1 << room.bit_length())
+            self._table, self._cells = kernels.cases.remember(
+                self._table, self._cells, 1 << room.bit_length()
+            )
         need = self._used + more + 1
         if need > len(self._parent):
             grown = max(2 * len(self._parent), need)
-            parent, low, high = (
-                np.empty(grown, np.int32),
-                np.empty((grown, 3), np.int32),
-                np.empty((grown, 3), np.int32),
-            )
+            parent = np.empty(grown, np.int32)
+            low = np.empty((grown, 3), np.int32)
+            high = np.empty((grown, 3), np.int32)
             used = self._used
-            parent[:used], low[:used], high[:used] = self._parent[:used], self._low[:used], self._high[:used]
-            self._parent, self._low, self._high = parent, low, high
+            parent[:used] = self._parent[:used]
+            low[:used] = self._low[:used]
+            high[:used] = self._high[:used]
+            self._parent = parent
+            self._low = low
+            self._high = high
 
     def settle(self, frame: int) -> None:
-        """Renumber the cases, and drop those that are over by this frame and not among the largest."""
+        """Renumber the cases, and drop those that are over by this frame and not
+        among the largest.
+        """
         rows = np.concatenate([self.rows, *self._new])
         self._new = []
         rows["case"] = kernels.cases.roots(self._parent, self._used)[rows["case"]]
         rows, _ = pooled(rows, ("case", "frame"))  # several cases of a frame may have joined
         old, which = np.unique(rows["case"], return_inverse=True)
-        points, last = np.bincount(which, rows["points"], len(old)), np.zeros(len(old), np.int64)
+        points = np.bincount(which, rows["points"], len(old))
+        last = np.zeros(len(old), np.int64)
         np.maximum.at(last, which, rows["frame"])
         done = last < frame - GAP
         largest = np.zeros(len(old), np.bool_)
         largest[np.argsort(-points, kind="stable")[: self._keep]] = True
         keep = ~done | largest
         self._dropped(summed(rows[~keep[which]]))
-        self.rows, new = rows[keep[which]], np.cumsum(keep) - 1
+        self.rows = rows[keep[which]]
+        new = np.cumsum(keep) - 1
         self.rows["case"] = new[which][keep[which]]
         self._forget(frame, old, keep, new)
 
     def _forget(self, frame: int, old: I64, keep: Bool, new: Intp) -> None:
         alive = np.flatnonzero((self._table >= 0) & (frame - self._cells[:, LAST] <= GAP))
-        keys, cells = self._table[alive], self._cells[alive]
+        keys = self._table[alive]
+        cells = self._cells[alive]
         root = kernels.cases.roots(self._parent, self._used)[cells[:, CASE]]
         cells[:, CASE] = new[np.searchsorted(old, root)]
         kept = old[keep]
-        self._low, self._high = self._low[kept], self._high[kept]
+        self._low = self._low[kept]
+        self._high = self._high[kept]
         self._used = len(kept)
         self._parent = np.arange(self._used, dtype=np.int32)
         self._remembered = len(alive)
@@ -175,22 +210,38 @@ class Cases:
 
 
 def _spread_over(row: Intp, points: I64) -> Intp:
-    """The points of each case whose surface is measured, evenly spread over its ``points``; given each point's case."""
+    """The points of each case whose surface is measured, evenly spread over its ``points``.
+
+    Given each point's case.
+    """
     order = np.argsort(row, kind="stable")
     rank = np.arange(len(row)) - np.repeat(np.cumsum(points) - points, points)
-    shares, of = np.clip(points // MEASURED_EVERY, 1, MOST_MEASURED)[row[order]], points[row[order]]
+    shares = np.clip(points // MEASURED_EVERY, 1, MOST_MEASURED)[row[order]]
+    of = points[row[order]]
     chosen: Intp = order[rank * shares % of < shares]
     return chosen
 
 
 def pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void], Intp]:
-    """Pool rows with equal values in some fields: the pooled rows sorted by these, and the number of rows of each."""
+    """Pool rows with equal values in some fields.
+
+    The pooled rows sorted by these, and the number of rows of each.
+    """
     rows = rows[np.lexsort([rows[name] for name in by[::-1]])]
     changes = np.any([np.diff(rows[name]) != 0 for name in by], axis=0)
     starts = np.flatnonzero(np.append(len(rows) > 0, changes))[: len(rows)]
     found = rows[starts]
     if len(starts):
-        for name in ("points", "cells", "touching", "ground", "surface", "grazed", "ranges", "reasons"):
+        for name in (
+            "points",
+            "cells",
+            "touching",
+            "ground",
+            "surface",
+            "grazed",
+            "ranges",
+            "reasons",
+        ):
             found[name] = np.add.reduceat(rows[name], starts)
         for name in ("low", "near"):
             found[name] = np.minimum.reduceat(rows[name], starts)
@@ -202,8 +253,9 @@ def pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void
 def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
     """One row per case, over all of its frames.
 
-    ``frame`` is the one with the most points. Additional fields: ``first`` and ``last`` frame, the number of
-    ``frames``, and ``moved``: metres between the mean centre of its first three frames and that of its last three.
+    ``frame`` is the one with the most points. Additional fields: ``first`` and ``last`` frame, the
+    number of ``frames``, and ``moved``: metres between the mean centre of its first three frames
+    and that of its last three.
     """
     rows = rows[np.lexsort((rows["frame"], rows["case"]))]
     found, frames = pooled(rows, ("case",))
@@ -213,23 +265,27 @@ def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
         total[name] = found[name]
     ends = np.cumsum(frames)
     starts = ends - frames
-    total["frames"], total["first"], total["last"] = frames, rows["frame"][starts], rows["frame"][ends - 1]
+    total["frames"] = frames
+    total["first"] = rows["frame"][starts]
+    total["last"] = rows["frame"][ends - 1]
     most = np.lexsort((rows["frame"], -rows["points"], rows["case"]))
     worst = rows[most[starts]]
     total["frame"] = worst["frame"]
     for name in ("surface", "grazed"):  # of the frame whose points the ledger explains
         total[name] = worst[name] * total["points"] // worst["points"]
-    centres, three = (rows["low"] + rows["high"]) / 2, np.minimum(np.arange(3), frames[:, None] - 1)
+    centres = (rows["low"] + rows["high"]) / 2
+    three = np.minimum(np.arange(3), frames[:, None] - 1)
     way = centres[ends[:, None] - 1 - three].mean(1) - centres[starts[:, None] + three].mean(1)
     total["moved"] = np.sqrt((way**2).sum(1))
     return total
 
 
 def gathered(rows: NDArray[np.void], span: float) -> tuple[NDArray[np.void], dict[int, float]]:
-    """Make one case of patches of ground of one group that are near each other, such as the arcs of one scan pattern.
+    """Make one case of patches of ground of one group that are near each other, such as the arcs of
+    one scan pattern.
 
-    From the largest one on, each case of ground takes in the others that fit into the same ``span`` metres along each
-    axis and were seen at most ``GAP`` frames before or after it.
+    From the largest one on, each case of ground takes in the others that fit into the same ``span``
+    metres along each axis and were seen at most ``GAP`` frames before or after it.
 
     Returns:
         The rows, and by case that took in others the share of its points in its largest patch.
@@ -237,16 +293,22 @@ def gathered(rows: NDArray[np.void], span: float) -> tuple[NDArray[np.void], dic
     total = summed(rows)
     ground = total[2 * total["ground"] > total["points"]]
     ground = ground[np.argsort(-ground["points"], kind="stable")]
-    into, largest = {}, {}
+    into = {}
+    largest = {}
     while len(ground):
-        first, rest = ground[0], np.ones(len(ground), np.bool_)
-        rest[0], low, high, points = False, first["low"], first["high"], int(first["points"])
+        first = ground[0]
+        rest = np.ones(len(ground), np.bool_)
+        rest[0] = False
+        low = first["low"]
+        high = first["high"]
+        points = int(first["points"])
         near = (ground["group"] == first["group"]) & (ground["first"] <= first["last"] + GAP)
         near &= (ground["last"] >= first["first"] - GAP) & rest
         for i in np.flatnonzero(near).tolist():
             both = np.minimum(low, ground["low"][i]), np.maximum(high, ground["high"][i])
             if (both[1] - both[0] <= span).all():
-                (low, high), rest[i] = both, False
+                (low, high) = both
+                rest[i] = False
                 points += int(ground["points"][i])
                 into[int(ground["case"][i])] = int(first["case"])
         if points > first["points"]:
@@ -289,7 +351,9 @@ def facts(case: np.void, names: Sequence[str], grounded: bool) -> dict[str, Any]
     }
 
 
-def boxes(listed: Sequence[tuple[Mapping[str, Any], NDArray[np.void]]], outcomes: Sequence[Outcome]) -> FrameBoxes:
+def boxes(
+    listed: Sequence[tuple[Mapping[str, Any], NDArray[np.void]]], outcomes: Sequence[Outcome]
+) -> FrameBoxes:
     """A box around each listed case, overall and in each of its frames.
 
     Args:
@@ -301,4 +365,13 @@ def boxes(listed: Sequence[tuple[Mapping[str, Any], NDArray[np.void]]], outcomes
     low, high = (np.array([case[name] for case in cases], np.float32) for name in ("low", "high"))
     number = np.repeat(np.arange(len(cases)), [len(rows) for _, rows in listed])
     labels = tuple(f"{number} {case['what']}" for number, case in enumerate(cases, 1))
-    return FrameBoxes(labels, np.array(outcomes, np.uint8), low, high, rows["frame"], number, rows["low"], rows["high"])
+    return FrameBoxes(
+        labels,
+        np.array(outcomes, np.uint8),
+        low,
+        high,
+        rows["frame"],
+        number,
+        rows["low"],
+        rows["high"],
+    )

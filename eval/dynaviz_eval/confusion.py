@@ -16,7 +16,10 @@ def _sections(counts: Counts) -> dict[str, Any]:
 
 
 class Confusion:
-    """Sections ``counts`` and ``metrics``; curves of SA, DA, AA and HA, of each frame and cumulative."""
+    """Sections ``counts`` and ``metrics``.
+
+    Curves of SA, DA, AA and HA, of each frame and cumulative.
+    """
 
     def __init__(self, info: MethodInfo) -> None:
         self._total = Counts()

@@ -1,4 +1,6 @@
-"""Heights of points above the ground of their scan, estimated without ground truth, and the points on it."""
+"""Heights of points above the ground of their scan, estimated without ground truth, and the points
+on it.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,10 @@ from dynaviz.arrays import F32, Bool
 from dynaviz.contracts.scan import Scan
 from dynaviz.spatial.scan_ground import REACH, ScanGround
 
-# Metres. On a labelled sweep of the odometry data, 98 % of the ground points are lower, and 97 % of the lower points
-# are ground; at 0.15 m it is 97 and 98 %.
+# Metres. On a labelled sweep of the odometry data, 98 % of the ground points are lower, and 97 % of
+# the lower points are ground; at 0.15 m it is 97 and 98 %.
 GROUND_HEIGHT = 0.25
-FAR = 2 * REACH  # cells of the ground to each side of the sensor: failure cases are counted as far as points reach
+FAR = 2 * REACH  # cells of the ground to each side: failure cases reach as far as points do
 
 
 def on_ground(heights: F32) -> Bool:

@@ -22,10 +22,11 @@ _KINDS = {
 
 
 class ReasonsMetric:
-    """Section ``reasons``: points by outcome and reason, the cost of each reason, and the meaning of each.
+    """Section ``reasons``: points by outcome and reason, the cost of each reason, and the meaning
+    of each.
 
-    ``cost`` is the number of percentage points of SA and DA lost to the wrong points of a reason; the costs of all
-    reasons add up to 100 - SA and 100 - DA.
+    ``cost`` is the number of percentage points of SA and DA lost to the wrong points of a reason;
+    the costs of all reasons add up to 100 - SA and 100 - DA.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -46,7 +47,8 @@ class ReasonsMetric:
     def finish(self) -> Mapping[str, Any]:
         """The section, most frequent reasons first."""
         counts = Counts.of_histogram(self._crossed.sum(1))
-        static, dynamic = counts.static_kept + counts.static_removed, counts.dynamic_kept + counts.dynamic_removed
+        static = counts.static_kept + counts.static_removed
+        dynamic = counts.dynamic_kept + counts.dynamic_removed
         wrong = self._crossed[Outcome.FALSE_POSITIVE], self._crossed[Outcome.FALSE_NEGATIVE]
         cost = {
             self._name(code): {

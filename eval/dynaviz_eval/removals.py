@@ -1,4 +1,6 @@
-"""What a run removed; without ground truth also clusters of removed points, the most suspicious first."""
+"""What a run removed; without ground truth also clusters of removed points, the most suspicious
+first.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,9 @@ SPAN = 20.0  # metres: larger clusters are split, as are the holes of a run with
 class RemovalsMetric:
     """Section ``removals``: removed points by reason, range and frame, for every run.
 
-    A run without ground truth also has ``clusters``: at most 100, removed points that belong together as those of a
-    failure case do, ranked by ``suspicion`` times number of points; of a comparison of drives, by number of points.
+    A run without ground truth also has ``clusters``: at most 100, removed points that belong
+    together as those of a failure case do, ranked by ``suspicion`` times number of points; of a
+    comparison of drives, by number of points.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -42,7 +45,8 @@ class RemovalsMetric:
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the points of one scan."""
-        scan, removed = labelled.scan, np.flatnonzero(labelled.dynamic)
+        scan = labelled.scan
+        removed = np.flatnonzero(labelled.dynamic)
         codes = np.minimum(labelled.reasons[removed], len(self._names) - 1)
         self._reasons += np.bincount(codes, minlength=len(self._names))
         squared = scan_squared_ranges(scan)
@@ -62,17 +66,24 @@ class RemovalsMetric:
         section = {
             "points": int(frames[:, 2].sum()),
             "removed": int(frames[:, 3].sum()),
-            "reasons": {self._names[code]: int(self._reasons[code]) for code in order if self._reasons[code]},
+            "reasons": {
+                self._names[code]: int(self._reasons[code]) for code in order if self._reasons[code]
+            },
             "range": [
                 {"from": low, "to": high, "points": points, "removed": removed}
-                for low, high, points, removed in zip(ends[:-1], ends[1:], *self._range.tolist(), strict=True)
+                for low, high, points, removed in zip(
+                    ends[:-1], ends[1:], *self._range.tolist(), strict=True
+                )
             ],
             "frame": [dict(zip(_FRAME, row, strict=True)) for row in frames.tolist()],
         }
         return {"removals": section | (self._clusters.finish() if self._clusters else {})}
 
     def figures(self) -> Mapping[str, Figure]:
-        """A box around each cluster, overall and in each of its frames; empty for runs with ground truth."""
+        """A box around each cluster, overall and in each of its frames.
+
+        Empty for runs with ground truth.
+        """
         if not self._clusters or not self._clusters.listed:
             return {}
         listed = self._clusters.listed
@@ -84,19 +95,25 @@ class _Clusters:
 
     def __init__(self, names: list[str], compares: bool) -> None:
         self.listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
-        self._names, self._compares, self._places, self._frame = names, compares, VisitedPlaces(), 0
+        self._names = names
+        self._compares = compares
+        self._places = VisitedPlaces()
+        self._frame = 0
         self._dropped = {"cases": 0, "points": 0}
         self._cases = Cases(len(names), SPAN, self._drop)
 
     def add(self, labelled: Labelled) -> None:
-        scan, self._frame = labelled.scan, labelled.frame
+        scan = labelled.scan
+        self._frame = labelled.frame
         self._places.add(labelled.frame, scan.points)
         chosen = np.flatnonzero(labelled.dynamic)
         chosen = chosen[in_key_range(scan.points[chosen], EDGE)]
         ground = on_ground(scan_heights(scan))
-        near, ground = _next_to_kept(labelled, ground)[chosen], ground[chosen]
+        near = _next_to_kept(labelled, ground)[chosen]
+        ground = ground[chosen]
         groups = ground.astype(np.int64)  # so that ground does not join the objects on it
-        points, ranges = scan.points[chosen], np.sqrt(scan_squared_ranges(scan)[chosen])
+        points = scan.points[chosen]
+        ranges = np.sqrt(scan_squared_ranges(scan)[chosen])
         reasons = labelled.reasons[chosen]
         self._cases.add(FramePoints(labelled.frame, points, groups, reasons, ranges, near, ground))
 
@@ -105,9 +122,14 @@ class _Clusters:
         rows = self._cases.rows
         found = [self._described(case, rows[rows["case"] == case["case"]]) for case in summed(rows)]
         found.sort(key=self._order)
-        self.listed, rest = found[:KEEP], found[KEEP:]
-        cases, points = len(rest), sum(cluster["points"] for cluster, _ in rest)
-        others = {"cases": self._dropped["cases"] + cases, "points": self._dropped["points"] + points}
+        self.listed = found[:KEEP]
+        rest = found[KEEP:]
+        cases = len(rest)
+        points = sum(cluster["points"] for cluster, _ in rest)
+        others = {
+            "cases": self._dropped["cases"] + cases,
+            "points": self._dropped["points"] + points,
+        }
         return {"clusters": [cluster for cluster, _ in self.listed], "others": others}
 
     def _order(self, found: tuple[dict[str, Any], Any]) -> tuple[Any, ...]:
@@ -115,17 +137,29 @@ class _Clusters:
         weight = 1.0 if self._compares else cluster["suspicion"]
         return -weight * cluster["points"], cluster["first_frame"], cluster["low"]
 
-    def _described(self, case: np.void, rows: NDArray[np.void]) -> tuple[dict[str, Any], NDArray[np.void]]:
+    def _described(
+        self, case: np.void, rows: NDArray[np.void]
+    ) -> tuple[dict[str, Any], NDArray[np.void]]:
         """A cluster as plain JSON values, with its rows."""
         known = facts(case, self._names, True)
         if self._compares:  # what changed stood still: nothing tells whether that is right
-            score, why = 0.0, tuple[str, ...]()
-            did, what = next(iter(known["reasons"])), "ground" if is_ground(case) else "object"
+            score = 0.0
+            why = tuple[str, ...]()
+            did = next(iter(known["reasons"]))
+            what = "ground" if is_ground(case) else "object"
         else:
             score, why = suspicion(case, rows, self._places.visits(case["low"], case["high"]))
-            did, what = "removed", MOVING if moved(rows) else shape("false_positive", case)
+            did = "removed"
+            what = MOVING if moved(rows) else shape("false_positive", case)
         near = round(float(case["touching"] / case["points"]), 3)
-        plain = {**known, "kept_near": near, "suspicion": score, "why": list(why), "did": did, "what": what}
+        plain = {
+            **known,
+            "kept_near": near,
+            "suspicion": score,
+            "why": list(why),
+            "did": did,
+            "what": what,
+        }
         return {**plain, "sentence": cluster_sentence(plain)}, rows
 
     def _drop(self, over: NDArray[np.void]) -> None:
@@ -134,8 +168,12 @@ class _Clusters:
 
 
 def _next_to_kept(labelled: Labelled, ground: Bool) -> Bool:
-    """(N,) bool: removed points next to kept ones of the same kind; that a mover touches the ground means nothing."""
-    removed, points = labelled.dynamic, labelled.scan.points
+    """(N,) bool: removed points next to kept ones of the same kind.
+
+    That a mover touches the ground means nothing.
+    """
+    removed = labelled.dynamic
+    points = labelled.scan.points
     found: Bool = np.zeros(len(points), np.bool_)
     for kind in (ground, ~ground):
         found |= kernels.touching.cells(points, removed & kind, ~removed & kind, EDGE)
@@ -143,6 +181,8 @@ def _next_to_kept(labelled: Labelled, ground: Bool) -> Bool:
 
 
 def _by_range(squared: F32) -> I64:
-    """(5,) int64: number of points in each interval between ``RANGE_EDGES``, given squared ranges."""
+    """(5,) int64: number of points in each interval between ``RANGE_EDGES``, given
+    squared ranges.
+    """
     below = [np.count_nonzero(squared < edge * edge) for edge in RANGE_EDGES]
     return np.diff([0, *below, len(squared)])  # NaN counts in the last interval

@@ -1,4 +1,6 @@
-"""Records with integer keys, stored on disk in sorted runs and read back by intervals of the key."""
+"""Records with integer keys, stored on disk in sorted runs and read back by intervals
+of the key.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ class SortedRuns:
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
-        self._dtype, self._end = dtype, 0
+        self._dtype = dtype
+        self._end = 0
         self._runs: list[_Run] = []
         self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # closed with this object
         weakref.finalize(self, self._file.close)
@@ -59,7 +62,9 @@ class SortedRuns:
 
     def between(self, low: int, high: int) -> NDArray[Any]:
         """Records with low <= key < high of all runs, in any order."""
-        return np.concatenate([np.empty(0, self._dtype), *(self._read(run, low, high) for run in self._runs)])
+        return np.concatenate(
+            [np.empty(0, self._dtype), *(self._read(run, low, high) for run in self._runs)]
+        )
 
     def intervals(self, size: int = HELD) -> Iterator[tuple[int, int]]:
         """Intervals of keys that together cover all records, with about ``size`` of them each.

@@ -16,7 +16,12 @@ from dynaviz.arrays import F32, F64, I32, Bool
 from dynaviz.errors import DynavizError
 
 EVERYWHERE = np.ones((1, 1), np.bool_)
-FRAME, START, COUNT, LOW, HIGH = 0, 1, 2, slice(3, 6), slice(6, 9)  # columns of a span
+# columns of a span
+FRAME = 0
+START = 1
+COUNT = 2
+LOW = slice(3, 6)
+HIGH = slice(6, 9)
 
 
 def store(file: IO[bytes], rest: memoryview, size: int, what: str) -> None:
@@ -36,7 +41,8 @@ def store(file: IO[bytes], rest: memoryview, size: int, what: str) -> None:
             rest = rest[file.write(rest) :]
     except OSError as error:
         raise DynavizError(
-            f"{tempfile.gettempdir()}: cannot write {size / 1e6:.0f} MB of temporary {what} ({error.strerror}). "
+            f"{tempfile.gettempdir()}: cannot write {size / 1e6:.0f} MB of temporary {what} "
+            f"({error.strerror}). "
             "Free some space, or set TMPDIR to a folder on a larger disk."
         ) from None
 
@@ -53,7 +59,8 @@ class PointSpool:
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # closed with this object
         self.close = weakref.finalize(self, self._file.close)
-        self._spans = array("d")  # of each frame: number, start in the file, count, low and high corner
+        # of each frame: number, start in the file, count, low and high corner
+        self._spans = array("d")
         self._reading = threading.Lock()  # several threads may read
         self._end = 0
         self.points = 0
@@ -65,7 +72,8 @@ class PointSpool:
         if len(points) == 0:
             return
         low, high = ([float(f(points[:, axis])) for axis in range(3)] for f in (np.min, np.max))
-        columns = np.ascontiguousarray(points.T, np.float32)  # a box selects points by columns, which is much faster
+        # a box selects points by columns, which is much faster
+        columns = np.ascontiguousarray(points.T, np.float32)
         rest = memoryview(columns.view(np.uint8).ravel())  # type: ignore[arg-type]
         self._spans.extend([frame, self._end, len(points), *low, *high])
         self._end += len(rest)
@@ -82,7 +90,9 @@ class PointSpool:
         # Copy: a view would keep all points of its frame in memory.
         return np.concatenate([self._read(span)[axis, ::step].copy() for span in self._table()])
 
-    def blocks(self, low: F64, high: F64, size: int, near: Bool = EVERYWHERE) -> Iterator[tuple[F32, I32]]:
+    def blocks(
+        self, low: F64, high: F64, size: int, near: Bool = EVERYWHERE
+    ) -> Iterator[tuple[F32, I32]]:
         """Points in a box and their frames, about ``size`` at a time.
 
         A block is valid until the next one, because they share a buffer.
@@ -96,7 +106,9 @@ class PointSpool:
         crossing = spans[(spans[:, HIGH] >= low).all(1) & (spans[:, LOW] < high).all(1)]
         counts = crossing[:, COUNT].astype(np.int64)
         capacity = min(size + int(counts.max(initial=0)), int(counts.sum()))
-        points, frames, filled = np.empty((capacity, 3), np.float32), np.empty(capacity, np.int32), 0
+        points = np.empty((capacity, 3), np.float32)
+        frames = np.empty(capacity, np.int32)
+        filled = 0
         for span in crossing:
             if filled >= size:
                 yield points[:filled], frames[:filled]

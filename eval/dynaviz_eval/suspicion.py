@@ -12,7 +12,11 @@ from dynaviz.arrays import I32
 from dynaviz_eval.attribution import extent, shape, when_and_where
 from dynaviz_eval.behaviour import BRIEF, WINDOW, shift, standing
 
-LARGE = (5.0, 15.0)  # metres in one frame: from the length of a car to more than that of a truck or bus
+# metres in one frame: from the length of a car to more than that of a truck or bus
+LARGE = (
+    5.0,
+    15.0,
+)
 LASTING = (WINDOW, 5 * WINDOW)  # frames at one place: from a second to what few movers stand
 MOVED = 2.0  # metres in a window, as far as a walker gets: the cluster is a mover
 CLEAR = 0.25  # a sign as strong as this is stated
@@ -28,12 +32,15 @@ def signs(case: np.void, rows: NDArray[np.void], visits: I32) -> dict[str, float
     """The signs of a removed static surface, each from 0 to 1, by the names in ``WEIGHTS``.
 
     Args:
-        case: the cluster, a row of ``summed``; ``touching`` counts points next to points that were kept.
+        case: the cluster, a row of ``summed``; ``touching`` counts points next to points that were
+            kept.
         rows: its rows, in the order of frames.
-        visits: (K, 3) first frame, last frame and number of frames in which each of its cells was hit.
+        visits: (K, 3) first frame, last frame and number of frames in which each of its cells was
+            hit.
     """
     size = np.median(rows["high"] - rows["low"], axis=0)
-    points, ground = float(case["points"]), float(case["ground"] / case["points"])
+    points = float(case["points"])
+    ground = float(case["ground"] / case["points"])
     frames = float(np.count_nonzero(standing(rows)))
     return {
         "ground": ground,
@@ -54,7 +61,8 @@ def moved(rows: NDArray[np.void]) -> bool:
 
 
 def suspicion(case: np.void, rows: NDArray[np.void], visits: I32) -> tuple[float, tuple[str, ...]]:
-    """From 0 (looks like a mover) to 1 (looks like a static surface), and the reasons in words, strongest first.
+    """From 0 (looks like a mover) to 1 (looks like a static surface), and the reasons in words,
+    strongest first.
 
     Args:
         case, rows, visits: as for ``signs``.
@@ -72,13 +80,18 @@ def suspicion(case: np.void, rows: NDArray[np.void], visits: I32) -> tuple[float
         "kept": "next to points that were kept",
         "brief": f"hit in {BRIEF} frames or fewer",
     }
-    strongest = sorted((name for name in parts if found[name] >= CLEAR), key=lambda name: -parts[name])
+    strongest = sorted(
+        (name for name in parts if found[name] >= CLEAR), key=lambda name: -parts[name]
+    )
     return round(score, 3), tuple(words[name] for name in strongest)
 
 
 def cluster_sentence(cluster: Mapping[str, Any]) -> str:
     """Describe a cluster of removed points: where it is, and why it looks right or wrong."""
-    fact = f"{cluster['did'].capitalize()}: {cluster['what']}, {extent(cluster)}, {when_and_where(cluster)}."
+    fact = (
+        f"{cluster['did'].capitalize()}: {cluster['what']}, {extent(cluster)}, "
+        f"{when_and_where(cluster)}."
+    )
     if cluster["what"] == MOVING:
         return f"{fact} Moves as movers do."
     return f"{fact} Suspicious: {', '.join(cluster['why'])}." if cluster["why"] else fact

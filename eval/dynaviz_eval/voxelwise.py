@@ -1,4 +1,7 @@
-"""Voxel-wise preservation and rejection rates, as reported by papers of the ERASOR family; not the main metric."""
+"""Voxel-wise preservation and rejection rates, as reported by papers of the ERASOR family.
+
+Not the main metric.
+"""
 
 from __future__ import annotations
 
@@ -23,24 +26,29 @@ _RECORD = np.dtype([("key", np.int64), ("kind", np.uint8)])
 class VoxelwiseMetric:
     """Section ``voxelwise``: PR, RR and F1 of voxels of 0.2 m (Lim et al., "ERASOR", RA-L 2021).
 
-    A voxel is static if it contains a static point, else dynamic if it contains a dynamic point. It is kept if it
-    contains a kept point. PR: share of static voxels kept; RR: share of dynamic voxels not kept; F1: their harmonic
-    mean; all in percent. A single kept point keeps its voxel, so these numbers flatter a method compared with SA and
-    DA. Unlabelled points do not count. The voxels of large maps are stored on disk during the run.
+    A voxel is static if it contains a static point, else dynamic if it contains a dynamic point. It
+    is kept if it contains a kept point. PR: share of static voxels kept; RR: share of dynamic
+    voxels not kept; F1: their harmonic mean; all in percent. A single kept point keeps its voxel,
+    so these numbers flatter a method compared with SA and DA. Unlabelled points do not count. The
+    voxels of large maps are stored on disk during the run.
 
-    For a cleaned map written by another program, a voxel is kept if it contains a point of that map, as in those
-    papers; the radius of nearest-neighbour scoring is not used.
+    For a cleaned map written by another program, a voxel is kept if it contains a point of that
+    map, as in those papers; the radius of nearest-neighbour scoring is not used.
     """
 
     def __init__(self, info: MethodInfo, edge: float = EDGE, held: int = HELD) -> None:
         self._edge = edge  # metres
-        self._static, self._dynamic, self._kept = KeySet(), KeySet(), KeySet()
+        self._static = KeySet()
+        self._dynamic = KeySet()
+        self._kept = KeySet()
         self._held = held  # voxels of a kind in memory
         self._stored = SortedRuns(_RECORD)
         self._has_map = False
 
     def cleaned_map(self, points: F32) -> None:
-        """Use the voxels of a cleaned map, (M, 3) float32, metres, world frame, as the kept ones."""
+        """Use the voxels of a cleaned map, (M, 3) float32, metres, world frame, as
+        the kept ones.
+        """
         self._kept.add(pack(points, self._edge))
         self._has_map = True
 
@@ -64,7 +72,12 @@ class VoxelwiseMetric:
         counts = dict.fromkeys(_COUNTS, 0)
         for static, dynamic, kept in self._parts():
             dynamic = np.setdiff1d(dynamic, static, assume_unique=True)
-            found = (static, np.intersect1d(static, kept, True), dynamic, np.intersect1d(dynamic, kept, True))
+            found = (
+                static,
+                np.intersect1d(static, kept, True),
+                dynamic,
+                np.intersect1d(dynamic, kept, True),
+            )
             for name, voxels in zip(_COUNTS, found, strict=True):
                 counts[name] += len(voxels)
         PR = float(percent(counts["static_kept"], counts["static"])) if counts["static"] else None
@@ -83,14 +96,19 @@ class VoxelwiseMetric:
             voxels.clear()
 
     def _parts(self) -> Iterator[tuple[I64, I64, I64]]:
-        """Static, dynamic and kept voxels, each (N,) sorted keys; part by part, of which each fits into memory."""
+        """Static, dynamic and kept voxels, each (N,) sorted keys.
+
+        Part by part, of which each fits into memory.
+        """
         if not len(self._stored):
             yield self._static.keys(), self._dynamic.keys(), self._kept.keys()
             return
         self._store()
         for low, high in self._stored.intervals():
             records = self._stored.between(low, high)
-            static, dynamic, kept = (np.unique(records["key"][records["kind"] == kind]) for kind in range(3))
+            static, dynamic, kept = (
+                np.unique(records["key"][records["kind"] == kind]) for kind in range(3)
+            )
             yield static, dynamic, kept
 
     def figures(self) -> Mapping[str, Figure]:

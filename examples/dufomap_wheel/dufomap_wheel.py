@@ -1,7 +1,7 @@
 """The public DUFOMap program (``pip install dufomap``) as a method of dynaviz.
 
-An example of wrapping another program as a method, in a package of its own. It needs this file, one line in
-``pyproject.toml``, and
+An example of wrapping another program as a method, in a package of its own. It needs this file, one
+line in ``pyproject.toml``, and
 
     pip install ./examples/dufomap_wheel
     dynaviz run dufomap_wheel PATH --set d_p=2
@@ -57,7 +57,9 @@ class DufoMapWheel:
             Reason("never_void", "kept: its voxel was not void in any scan"),
             Reason("not_finite", "kept unjudged"),
         ),
-        emits=(State("integrated", Scalar, "Number of points of this scan within the range limits"),),
+        emits=(
+            State("integrated", Scalar, "Number of points of this scan within the range limits"),
+        ),
     )
     Params: ClassVar[type[Any]] = Params
 
@@ -65,16 +67,25 @@ class DufoMapWheel:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """Start with an empty map. Import the program here, not at the top, so that ``dynaviz list`` stays fast."""
+        """Start with an empty map.
+
+        Import the program here, not at the top, so that ``dynaviz list`` stays fast.
+        """
         from dufomap import dufomap
 
         self._probe = context.probe
-        # On several threads, the program's labels vary between runs; the conformance kit detects this.
-        self._program = dufomap(self.params.resolution, self.params.d_s, self.params.d_p, num_threads=1)
+        # On several threads, the program's labels vary between runs; the conformance kit detects
+        # this.
+        self._program = dufomap(
+            self.params.resolution, self.params.d_s, self.params.d_p, num_threads=1
+        )
 
     def observe(self, scan: Scan) -> None:
-        """Integrate the points within range, from each ray origin (several only for merged sensors)."""
-        integrated, places = 0, np.unique(scan.origins, axis=0)
+        """Integrate the points within range, from each ray origin (several only for merged
+        sensors).
+        """
+        integrated = 0
+        places = np.unique(scan.origins, axis=0)
         for place in places:
             points = scan.points[(scan.origins == place).all(1)] if len(places) > 1 else scan.points
             points = points[np.isfinite(points).all(1)]
@@ -84,14 +95,18 @@ class DufoMapWheel:
             if len(points):
                 T_world_sensor = scan.T_world_sensor.copy()
                 T_world_sensor[:3, 3] = place
-                self._program.run(points, T_world_sensor, cloud_transform=False)  # points are in the world frame
+                # points are in the world frame
+                self._program.run(points, T_world_sensor, cloud_transform=False)
         self._probe.emit("integrated", Scalar(integrated))
 
     def label(self, scan: Scan) -> Labels:
         """Label points dynamic if their voxel was ever void; reasons index ``info.reasons``."""
-        dynamic, finite = np.zeros(len(scan), np.bool_), np.isfinite(scan.points).all(1)
+        dynamic = np.zeros(len(scan), np.bool_)
+        finite = np.isfinite(scan.points).all(1)
         if finite.any():
-            dynamic[finite] = self._program.segment(scan.points[finite], scan.T_world_sensor, cloud_transform=False)
+            dynamic[finite] = self._program.segment(
+                scan.points[finite], scan.T_world_sensor, cloud_transform=False
+            )
         reasons = np.where(dynamic, 0, 1).astype(np.uint8)
         reasons[~finite] = 2
         return Labels(dynamic, reasons)

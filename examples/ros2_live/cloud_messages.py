@@ -1,4 +1,6 @@
-"""PointCloud2 messages: read x, y and z, and write the same cloud with labels. Works with any class of messages.
+"""PointCloud2 messages: read x, y and z, and write the same cloud with labels.
+
+Works with any class of messages.
 
 Nothing here imports ROS, so it is tested where ROS is not installed.
 """
@@ -12,7 +14,9 @@ from numpy.typing import NDArray
 
 from dynaviz.io.pointcloud2 import cloud_rows, cloud_xyz
 
-FLOAT32, UINT8 = 7, 2  # datatypes of sensor_msgs/PointField
+# datatypes of sensor_msgs/PointField
+FLOAT32 = 7
+UINT8 = 2
 
 
 def points_of(message: Any) -> NDArray[np.float32]:
@@ -24,8 +28,11 @@ def points_of(message: Any) -> NDArray[np.float32]:
     return cloud_xyz(cloud_rows(message))
 
 
-def with_labels(message: Any, dynamic: NDArray[np.bool_], reasons: NDArray[np.uint8], field_type: type[Any]) -> Any:
-    """Add the fields ``label`` (0 static, 1 dynamic) and ``reason`` (its code) to a PointCloud2, in place.
+def with_labels(
+    message: Any, dynamic: NDArray[np.bool_], reasons: NDArray[np.uint8], field_type: type[Any]
+) -> Any:
+    """Add the fields ``label`` (0 static, 1 dynamic) and ``reason`` (its code) to a PointCloud2, in
+    place.
 
     Args:
         message: the cloud, of height * width points.
@@ -71,5 +78,9 @@ def stamp_of(header: Any) -> int:
 
 def _bytes(message: Any) -> NDArray[np.uint8]:
     """(height, width, point_step) uint8: the bytes of the points, without padding between rows."""
-    data = np.frombuffer(memoryview(message.data), np.uint8).reshape(message.height, message.row_step)
-    return data[:, : message.width * message.point_step].reshape(message.height, message.width, message.point_step)
+    data = np.frombuffer(memoryview(message.data), np.uint8).reshape(
+        message.height, message.row_step
+    )
+    return data[:, : message.width * message.point_step].reshape(
+        message.height, message.width, message.point_step
+    )

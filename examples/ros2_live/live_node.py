@@ -1,9 +1,11 @@
 """A ROS 2 node: PointCloud2 in, the same PointCloud2 with the fields ``label`` and ``reason`` out.
 
-    python live_node.py --ros-args -r points:=/ouster/points -p world:=odom -p method:=seethrough -p sensor:=os1_64
+    python live_node.py --ros-args -r points:=/ouster/points -p world:=odom -p method:=seethrough -p
+    sensor:=os1_64
 
-It needs the pose of the sensor: TF from the cloud's frame to ``world``, from odometry or SLAM. Parameters: ``method``,
-``sensor``, ``reach`` (metres), ``world`` (frame). The static map around the robot is published once per second.
+It needs the pose of the sensor: TF from the cloud's frame to ``world``, from odometry or SLAM.
+Parameters: ``method``, ``sensor``, ``reach`` (metres), ``world`` (frame). The static map around the
+robot is published once per second.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ from tf2_ros import Buffer, TransformException, TransformListener
 import dynaviz as dv
 
 # A queue of one: a cloud that comes while another one is labelled replaces the one that waits.
-LATEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATEST = QoSProfile(
+    depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
+)
 
 
 class LiveNode(Node):
@@ -32,7 +36,8 @@ class LiveNode(Node):
         values = {"method": "seethrough", "sensor": "", "reach": 60.0, "world": "odom"}
         given = {name: self.declare_parameter(name, value).value for name, value in values.items()}
         self._world = given["world"]
-        self._live = dv.live(given["method"], sensor=given["sensor"] or None, reach=given["reach"])  # compiles
+        # compiles
+        self._live = dv.live(given["method"], sensor=given["sensor"] or None, reach=given["reach"])
         self._transforms = Buffer()
         self._listener = TransformListener(self._transforms, self)
         self._labelled = self.create_publisher(PointCloud2, "labelled", LATEST)
@@ -55,11 +60,14 @@ class LiveNode(Node):
 
     def _on_timer(self) -> None:
         points = np.ascontiguousarray(self._live.map(), np.float32)
-        fields = [PointField(name=n, offset=4 * k, datatype=FLOAT32, count=1) for k, n in enumerate("xyz")]
+        fields = [
+            PointField(name=n, offset=4 * k, datatype=FLOAT32, count=1) for k, n in enumerate("xyz")
+        ]
         header = Header(frame_id=self._world, stamp=self.get_clock().now().to_msg())
         self._map.publish(
             PointCloud2(
-                header=header, height=1, width=len(points), fields=fields, is_bigendian=False, point_step=12,
+                header=header, height=1, width=len(points), fields=fields, is_bigendian=False,
+                point_step=12,
                 row_step=12 * len(points), data=points.tobytes(), is_dense=True,
             )
         )  # fmt: skip

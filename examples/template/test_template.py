@@ -1,4 +1,7 @@
-"""Run the conformance kit on the method: odd scans, memory layouts, threads, transformed worlds, states, parameters."""
+"""Run the conformance kit on the method.
+
+Odd scans, memory layouts, threads, transformed worlds, states, parameters.
+"""
 
 from dynaviz_template.method import Seldom
 

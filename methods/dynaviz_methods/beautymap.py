@@ -1,4 +1,6 @@
-"""BeautyMap: binary columns of height slices; slices that are in the map but not in a scan are dynamic.
+"""BeautyMap: binary columns of height slices.
+
+Slices that are in the map but not in a scan are dynamic.
 
 Jia et al. 2024. The algorithm:
 
@@ -6,24 +8,24 @@ Jia et al. 2024. The algorithm:
     set the base of each column to its lowest point, bounded by the bases of the preceding columns
     set bit k of a column if the map has points in slice k, h_res high, counted from the base
     for each scan, in a square window of side dis_range around the sensor
-        encode the scan in the map's columns; remove the slices that are in the map but not in the scan, except
-        near:      slices within 2 m of the sensor
-        sight:     from 15 m on, slices of a column where the scan sees no ground
-        seen:      in a column, slices from the highest one that the scan sees upwards
-        view:      where the scan sees none, slices from the upper edge of its field of view upwards
-        ground:    the lowest slice of a column
-        overhang:  slices above a gap of two slices
-        blocked:   slices with scan points in front of them on the line from the sensor
-        split the slice below the lowest removed slice: its lowest fine bins, with 85 % of its points, are ground
-    label a point dynamic if any scan removes its slice, or splits its slice and the point is above the ground bins
+        encode the scan in the map's columns; remove the slices that are in the map but not in the
+        scan, except near:      slices within 2 m of the sensor sight:     from 15 m on, slices of a
+        column where the scan sees no ground seen:      in a column, slices from the highest one
+        that the scan sees upwards view:      where the scan sees none, slices from the upper edge
+        of its field of view upwards ground:    the lowest slice of a column overhang:  slices above
+        a gap of two slices blocked:   slices with scan points in front of them on the line from the
+        sensor split the slice below the lowest removed slice: its lowest fine bins, with 85 % of
+        its points, are ground
+    label a point dynamic if any scan removes its slice, or splits its slice and the point is above
+    the ground bins
 
-Slice 0 extends as far below the base as above it, and slice 30, the highest, includes everything above it. Points
-below slice 0 are kept unjudged. So are points that are not finite, or more than 32768 columns or 1000 km of height
-from the world's origin.
+Slice 0 extends as far below the base as above it, and slice 30, the highest, includes everything
+above it. Points below slice 0 are kept unjudged. So are points that are not finite, or more than
+32768 columns or 1000 km of height from the world's origin.
 
-Live, the map is that of the scans that are not forgotten yet. It is encoded anew with each scan, because a single
-lower point can move the bases of many columns, and all scans in it are compared again. So the labels of a scan are
-those of an offline run that ends with it.
+Live, the map is that of the scans that are not forgotten yet. It is encoded anew with each scan,
+because a single lower point can move the bases of many columns, and all scans in it are compared
+again. So the labels of a scan are those of an offline run that ends with it.
 """
 
 from __future__ import annotations
@@ -67,20 +69,47 @@ class BeautyMapParams:
 
     def __post_init__(self) -> None:
         cell = self.xy_resolution
-        require(self, "dis_range xy_resolution h_res", lambda metres: 0 < metres < math.inf, "metres above 0")
-        require(self, "dis_range", lambda far: 2 <= far / cell <= 4096, f"2 to 4096 times xy_resolution = {cell}")
+        require(
+            self,
+            "dis_range xy_resolution h_res",
+            lambda metres: 0 < metres < math.inf,
+            "metres above 0",
+        )
+        require(
+            self,
+            "dis_range",
+            lambda far: 2 <= far / cell <= 4096,
+            f"2 to 4096 times xy_resolution = {cell}",
+        )
 
 
-UNJUDGED, NEVER_NEAR, ALWAYS_SEEN, FINE_GROUND, SLICE_GONE, ABOVE_GROUND = 0, 1, 2, 10, 11, 12
+UNJUDGED = 0
+NEVER_NEAR = 1
+ALWAYS_SEEN = 2
+FINE_GROUND = 10
+SLICE_GONE = 11
+ABOVE_GROUND = 12
 REASONS = (
     Reason(
         "unjudged",
         "kept: not finite, too far from the world's origin, not in the map, or below slice 0",
         Cause.OUT_OF_RANGE,
     ),
-    Reason("out_of_window", "kept: its column was never within the window around the sensor", Cause.OUT_OF_RANGE),
-    Reason("always_seen", "kept: every scan with its column in the window saw its slice", Cause.STANDING),
-    Reason("near_sensor", "kept: the scans that missed its slice were too close to judge it", Cause.OUT_OF_RANGE),
+    Reason(
+        "out_of_window",
+        "kept: its column was never within the window around the sensor",
+        Cause.OUT_OF_RANGE,
+    ),
+    Reason(
+        "always_seen",
+        "kept: every scan with its column in the window saw its slice",
+        Cause.STANDING,
+    ),
+    Reason(
+        "near_sensor",
+        "kept: the scans that missed its slice were too close to judge it",
+        Cause.OUT_OF_RANGE,
+    ),
     Reason(
         "ground_not_seen",
         "kept: the scans that missed its slice were far away and saw no ground in its column",
@@ -91,9 +120,17 @@ REASONS = (
         "kept: its slice is above the highest slice that the scans saw in its column",
         Cause.HEIGHT_LIMIT,
     ),
-    Reason("above_view", "kept: its slice is above the field of view of the scans that missed it", Cause.HEIGHT_LIMIT),
+    Reason(
+        "above_view",
+        "kept: its slice is above the field of view of the scans that missed it",
+        Cause.HEIGHT_LIMIT,
+    ),
     Reason("ground_slice", "kept: in the lowest slice of its column", Cause.TAKEN_FOR_GROUND),
-    Reason("overhang", "kept: above a gap of two empty slices, or of two empty fine bins", Cause.HEIGHT_LIMIT),
+    Reason(
+        "overhang",
+        "kept: above a gap of two empty slices, or of two empty fine bins",
+        Cause.HEIGHT_LIMIT,
+    ),
     Reason(
         "ray_blocked",
         "kept: scans that missed its slice had their view of it blocked",
@@ -104,7 +141,9 @@ REASONS = (
         "kept: in the slice below the removed slices, among its lowest 85 % of points",
         Cause.TAKEN_FOR_GROUND,
     ),
-    Reason("not_in_scan", "removed: a scan should have seen its slice but did not", Cause.SPARSE_RINGS),
+    Reason(
+        "not_in_scan", "removed: a scan should have seen its slice but did not", Cause.SPARSE_RINGS
+    ),
     Reason(
         "above_fine_ground",
         "removed: in the slice below the removed slices, above its lowest 85 % of points",
@@ -138,15 +177,25 @@ _SLICES = {
     "removed": "Unseen slices that this scan removes",
 }
 STATES = (
-    *(State(name, Voxels, f"{text}; slices above the base", value_range=HEIGHT) for name, text in _SLICES.items()),
+    *(
+        State(name, Voxels, f"{text}; slices above the base", value_range=HEIGHT)
+        for name, text in _SLICES.items()
+    ),
     State("fine_ground", Mask, "Points kept as the ground of a split slice, by the scans so far"),
-    State("view_slope", Scalar, "Upper edge of the field of view: metres of height per metre of distance"),
+    State(
+        "view_slope",
+        Scalar,
+        "Upper edge of the field of view: metres of height per metre of distance",
+    ),
 )
 
 
 @dataclass(frozen=True)
 class _Window:
-    """The columns around the sensor: ``first`` (2,) is the lowest, ``columns`` (W, W) are their rows, -1 if empty."""
+    """The columns around the sensor.
+
+    ``first`` (2,) is the lowest, ``columns`` (W, W) are their rows, -1 if empty.
+    """
 
     first: I64
     columns: I64
@@ -190,14 +239,25 @@ class BeautyMap:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """Encode the raw map in columns; the points themselves are not stored. Live, there is no map yet."""
-        self._probe, side = context.probe, self.params.xy_resolution
+        """Encode the raw map in columns; the points themselves are not stored.
+
+        Live, there is no map yet.
+        """
+        self._probe = context.probe
+        side = self.params.xy_resolution
         self._recent: dict[int, tuple[_View, Cloud]] = {}  # live: the scans in the map, by index
         self._live = context.raw_map is None
         if isinstance(context.extent, Window):
             context.extent.attach(_Edge(REACH * side))
-        raw = kernels.as_readonly(np.zeros((0, 3)) if context.raw_map is None else context.raw_map, np.float32)
-        self._encode([Cloud.of(raw[start : start + CHUNK], side) for start in range(0, max(len(raw), 1), CHUNK)])
+        raw = kernels.as_readonly(
+            np.zeros((0, 3)) if context.raw_map is None else context.raw_map, np.float32
+        )
+        self._encode(
+            [
+                Cloud.of(raw[start : start + CHUNK], side)
+                for start in range(0, max(len(raw), 1), CHUNK)
+            ]
+        )
         self._map.find_ground(self._map.bits)
 
     def observe(self, scan: Scan) -> None:
@@ -231,54 +291,84 @@ class BeautyMap:
         self._map = ColumnMap(clouds, self.params.xy_resolution, self.params.h_res, keep)
         self._steps = np.zeros((len(self._map), len(STEPS)), np.int32)  # bits of all scans so far
         self._splits = np.zeros(len(self._map), np.int32)
-        self._places = np.full(len(self._map), -1, np.int32)  # where columns are in the window of a scan
-        self._last: tuple[_Window, I32, I32] | None = None  # window, slices and outcome of the last scan
+        # where columns are in the window of a scan
+        self._places = np.full(len(self._map), -1, np.int32)
+        self._last: tuple[_Window, I32, I32] | None = (
+            None  # window, slices and outcome of the last scan
+        )
 
     def _compare(self, view: _View, placed: Placed) -> None:
         """Remove slices of the map that a scan does not see."""
-        p, columns = self.params, self._map
+        p = self.params
+        columns = self._map
         self._last = None
         if not np.isfinite(view.sensor).all():
             return
         window = self._window(view.sensor)
-        middle, seen = len(window.columns) // 2, self._seen(window, placed)
+        middle = len(window.columns) // 2
+        seen = self._seen(window, placed)
         under = window.columns[middle, middle]
         base = float(columns.base[under]) if under >= 0 else math.nan
         if math.isnan(base):
             base = columns.lowest  # the map has no point in the sensor's column
         outcome = kernels.columns.judge(
             *(window.columns, columns.bits, columns.base, columns.raised, seen),
-            *(float(view.sensor[2] - base) / p.h_res + 0.5, base, view.slope * p.xy_resolution / p.h_res),
-            *(int(BLIND / p.xy_resolution) + 1, SIGHT / p.xy_resolution, GAP, SKIP, self._steps, self._splits),
+            *(
+                float(view.sensor[2] - base) / p.h_res + 0.5,
+                base,
+                view.slope * p.xy_resolution / p.h_res,
+            ),
+            *(
+                int(BLIND / p.xy_resolution) + 1,
+                SIGHT / p.xy_resolution,
+                GAP,
+                SKIP,
+                self._steps,
+                self._splits,
+            ),
         )
         self._last = window, seen, outcome
 
     def _seen(self, window: _Window, placed: Placed) -> I32:
         """(W, W) int32: the slices in the window with points of a scan."""
-        seen, within = np.zeros(window.columns.shape, np.int32), window.columns >= 0
+        seen = np.zeros(window.columns.shape, np.int32)
+        within = window.columns >= 0
         self._places[window.columns[within]] = np.flatnonzero(within)
         kernels.columns.look(*placed, self._places, seen.ravel())
         self._places[window.columns[within]] = -1
         return seen
 
     def evidence(self, asked: Asked) -> Evidence:
-        """Whether the last scan saw the points' slices, and which step of the algorithm kept those that it missed."""
+        """Whether the last scan saw the points' slices, and which step of the algorithm kept those
+        that it missed.
+        """
         points = kernels.as_readonly(asked.points, np.float32)
         column, k, fine, first, end = self._map.bins(points)
-        saw, split = np.full(len(points), np.nan), self._splits[column] >> k & 1
+        saw = np.full(len(points), np.nan)
+        split = self._splits[column] >> k & 1
         if self._last is not None:
             window, seen, outcome = self._last
             inside = np.isin(column, window.columns[window.columns >= 0]) & (column >= 0)
             at = np.argmax(window.columns.ravel() == column[inside, None], axis=1)
-            of_scan = np.concatenate([seen.reshape(-1, 1), outcome.reshape(-1, len(STEPS))[:, 1:]], 1)
+            of_scan = np.concatenate(
+                [seen.reshape(-1, 1), outcome.reshape(-1, len(STEPS))[:, 1:]], 1
+            )
             bits = of_scan[at] >> k[inside, None] & 1
             saw[inside] = np.argmax(bits, axis=1)
-        seen_at, kept = (np.where(np.isnan(saw), np.nan, yes) for yes in (saw == 0, (saw > 0) & (saw < REMOVED)))
+        seen_at, kept = (
+            np.where(np.isnan(saw), np.nan, yes) for yes in (saw == 0, (saw > 0) & (saw < REMOVED))
+        )
         missed = Term("in the scan", seen_at, "<", 1), Term("kept by a step", kept, "<", 1)
         above = Term("removed slice above it", np.where(k < 0, 0, split), ">=", 1)
         height = Term("fine bin", fine, ">=", first), Term("fine bin", fine, "<", end)
-        rules = Rule("slice missed", missed, lasting=True), Rule("above the ground", (above, *height))
-        quantities = (Quantity("outcome", saw, legend=OUTCOMES), Quantity("split", split.astype(float), total=True))
+        rules = (
+            Rule("slice missed", missed, lasting=True),
+            Rule("above the ground", (above, *height)),
+        )
+        quantities = (
+            Quantity("outcome", saw, legend=OUTCOMES),
+            Quantity("split", split.astype(float), total=True),
+        )
         return Evidence(self._boxes(column, k), quantities, rules)
 
     def _boxes(self, column: I64, k: I64) -> F64:
@@ -292,7 +382,10 @@ class BeautyMap:
         return np.stack([low, low + sides], 1)
 
     def _window(self, sensor: F64) -> _Window:
-        """The columns around the sensor: half of them before the sensor's column, half from it on, along each axis."""
+        """The columns around the sensor.
+
+        Half of them before the sensor's column, half from it on, along each axis.
+        """
         half = max(int(self.params.dis_range / self.params.xy_resolution / 2), 1)
         at = np.clip((sensor[:2] - self._map.corner) / self.params.xy_resolution, -(2**40), 2**40)
         first = np.floor(at).astype(np.int64) - half
@@ -302,7 +395,10 @@ class BeautyMap:
         if self._last is None:
             return
         window, seen, outcome = self._last
-        for name, bits in {**dict(zip(STEPS, np.moveaxis(outcome, 2, 0), strict=True)), "scan_slices": seen}.items():
+        for name, bits in {
+            **dict(zip(STEPS, np.moveaxis(outcome, 2, 0), strict=True)),
+            "scan_slices": seen,
+        }.items():
             if self._probe.wants(name):
                 self._probe.emit(name, self._cubes(window, bits))
         if self._probe.wants("fine_ground"):
@@ -313,10 +409,18 @@ class BeautyMap:
         """Slices as cubes of the world's grid, at most half a cube from their exact position."""
         p = self.params
         edge = min(p.xy_resolution, p.h_res)
-        across, above = round(p.xy_resolution / edge), round(p.h_res / edge)
+        across = round(p.xy_resolution / edge)
+        above = round(p.h_res / edge)
         i, j, k = np.nonzero(bits[:, :, None] >> np.arange(SLICES) & 1)
         base = self._map.base[window.columns[i, j]]
-        corners = np.stack([(window.first[0] + i) * p.xy_resolution, (window.first[1] + j) * p.xy_resolution, base], 1)
+        corners = np.stack(
+            [
+                (window.first[0] + i) * p.xy_resolution,
+                (window.first[1] + j) * p.xy_resolution,
+                base,
+            ],
+            1,
+        )
         corners[:, :2] += self._map.corner
         corners[:, 2] += k * p.h_res
         within = np.indices((across, across, above)).reshape(3, -1).T + 0.5

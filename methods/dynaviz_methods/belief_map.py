@@ -1,4 +1,6 @@
-"""The map of HMM-MOS: beliefs of the voxels near points, updated by a hidden Markov model scan by scan."""
+"""The map of HMM-MOS: beliefs of the voxels near points, updated by a hidden Markov model scan by
+scan.
+"""
 
 from __future__ import annotations
 
@@ -44,8 +46,8 @@ class BeliefMap(BlockGrid):
         half: half width of the neighbourhood that decides a score, voxels.
         max_range: greatest range that is observed, metres.
         forget_after: age in scans from which a voxel counts as unknown.
-        truncate: round the indices of points towards zero, and never forget the voxels seen first, as the public
-            program does.
+        truncate: round the indices of points towards zero, and never forget the voxels seen first,
+            as the public program does.
 
     Attributes:
         hit: (B, 8) uint64, bits of the voxels with points of this scan.
@@ -53,22 +55,40 @@ class BeliefMap(BlockGrid):
         state: (B, 512) uint8: 0 unknown, 1 occupied, 2 free.
         since: (B, 512) int32: number of the scan in which the state last changed, from 1.
         observed: blocks and bits of the voxels that this scan observed.
-        field: (K, 512) uint8, squared voxels: for these blocks, distances to the nearest occupied voxel; if kept.
+        field: (K, 512) uint8, squared voxels: for these blocks, distances to the nearest occupied
+            voxel; if kept.
     """
 
     def __init__(
-        self, extent: Extent, resolution: float, half: int, max_range: float, forget_after: int, truncate: bool
+        self,
+        extent: Extent,
+        resolution: float,
+        half: int,
+        max_range: float,
+        forget_after: int,
+        truncate: bool,
     ) -> None:
         super().__init__(extent.widened((max(half, 1) + 1) * resolution), resolution)
-        self._max_range, self._forget_after, self._truncate = max_range, forget_after, truncate
-        self._sizes = np.bitwise_count(np.arange(1 << (2 * half + 1)))  # bits set in the numbers of a row
+        self._max_range = max_range
+        self._forget_after = forget_after
+        self._truncate = truncate
+        # bits set in the numbers of a row
+        self._sizes = np.bitwise_count(np.arange(1 << (2 * half + 1)))
         n = len(self)
         own = self.per_block
-        self.hit, self.turned, self._sources, self._known = (own(np.zeros((n, 8), np.uint64)) for _ in range(4))
-        self.belief, self.state = own(np.zeros((n, VOXELS))), own(np.zeros((n, VOXELS), np.uint8))
-        self.since, self._seen, self._scores = (own(np.zeros((n, VOXELS), np.int32)) for _ in range(3))
-        self._used, self._is_used = np.empty(0, np.int32), own(np.zeros(n, np.bool_))  # blocks with observed voxels
-        self._first = own(np.full(n, never := kernels.beliefs.NEVER), never)  # by block; see ``kernels.beliefs.expire``
+        self.hit, self.turned, self._sources, self._known = (
+            own(np.zeros((n, 8), np.uint64)) for _ in range(4)
+        )
+        self.belief = own(np.zeros((n, VOXELS)))
+        self.state = own(np.zeros((n, VOXELS), np.uint8))
+        self.since, self._seen, self._scores = (
+            own(np.zeros((n, VOXELS), np.int32)) for _ in range(3)
+        )
+        # blocks with observed voxels
+        self._used = np.empty(0, np.int32)
+        self._is_used = own(np.zeros(n, np.bool_))
+        # by block; see ``kernels.beliefs.expire``
+        self._first = own(np.full(n, never := kernels.beliefs.NEVER), never)
         self._marks = lane_marks(n)
         self._neighbours = self.neighbours()
         self._likelihoods = np.exp(-np.arange(CAP + 1) / 2)
@@ -78,7 +98,8 @@ class BeliefMap(BlockGrid):
 
     def place(self, points: F32) -> I64:
         """(N,) int64: the voxel of each point (N, 3), metres, world frame; -1 if it has none."""
-        points, size = kernels.as_readonly(points, np.float32), float(self.resolution)
+        points = kernels.as_readonly(points, np.float32)
+        size = float(self.resolution)
         found: I64 = kernels.integer_lines.locate(points, size, self._truncate, *self._place)
         return found
 
@@ -91,7 +112,8 @@ class BeliefMap(BlockGrid):
         """
         self.number += 1
         self._origin = origin
-        self._used, self._before = self.remaining(self._used), self.remaining_voxels(self._before)
+        self._used = self.remaining(self._used)
+        self._before = self.remaining_voxels(self._before)
         blocks = np.sort(_set(self.hit, voxels))
         self._occupied = voxels_of(blocks, self.hit[blocks].view(np.int64))
         self.hit[blocks] = 0
@@ -113,8 +135,25 @@ class BeliefMap(BlockGrid):
         blocks, bits = self.observed
         self.field = np.empty((len(blocks) if keep_field else 0, VOXELS), np.uint8)
         kernels.beliefs.update(
-            *(blocks, bits, self._sources, self._neighbours, self.number, self._forget_after, self._truncate),
-            *(self._likelihoods, CHANGE, sure, self.belief, self._seen, self.since, self.state, self._known),
+            *(
+                blocks,
+                bits,
+                self._sources,
+                self._neighbours,
+                self.number,
+                self._forget_after,
+                self._truncate,
+            ),
+            *(
+                self._likelihoods,
+                CHANGE,
+                sure,
+                self.belief,
+                self._seen,
+                self.since,
+                self.state,
+                self._known,
+            ),
             *(self.turned, self.field, kernels.threads_in_use()),
         )
         self._sources[sources // VOXELS] = 0
@@ -127,7 +166,9 @@ class BeliefMap(BlockGrid):
     def _forget(self) -> None:
         """Forget voxels that are far away, and those last observed long ago."""
         place = float(self.resolution), self._origin, 1.5 * self._max_range
-        kept = kernels.beliefs.erase(self._used, self._blocks, *place, self._seen, self.state, self._known)
+        kept = kernels.beliefs.erase(
+            self._used, self._blocks, *place, self._seen, self.state, self._known
+        )
         self._is_used[self._used[~kept]] = False
         self._used = self._used[kept]
         if self.number > self._forget_after:
@@ -140,13 +181,17 @@ class BeliefMap(BlockGrid):
         near = np.einsum("ij,ij->i", corners, corners) <= self._max_range**2
         voxels = self._occupied[near]
         _set(self.hit, voxels)
-        k, lanes = kernels.change_scores, kernels.threads_in_use()
-        raw, known = np.zeros(len(voxels), np.int32), np.zeros(len(voxels), np.int32)
+        k = kernels.change_scores
+        lanes = kernels.threads_in_use()
+        raw = np.zeros(len(voxels), np.int32)
+        known = np.zeros(len(voxels), np.int32)
         firsts = np.flatnonzero(np.diff(voxels // VOXELS, prepend=-1, append=-1))
         bits = self._known, self.turned, self.hit
         k.scores(voxels, firsts, self._sizes, self._neighbours, *bits, raw, known, lanes)
         self._scores[voxels // VOXELS, voxels % VOXELS] = raw
-        return Scores(voxels, raw, k.medians(voxels, self._neighbours, self.hit, self._scores, lanes), known)
+        return Scores(
+            voxels, raw, k.medians(voxels, self._neighbours, self.hit, self._scores, lanes), known
+        )
 
     def beside(self, voxels: I64) -> I64:
         """Occupied voxels among the 26 around each of some voxels, and these voxels; sorted."""
@@ -158,16 +203,26 @@ class BeliefMap(BlockGrid):
         return voxels_of(blocks, (self.turned[blocks] & self.hit[blocks]).view(np.int64))
 
     def slice(self, distance: float) -> tuple[I32, F32, F32]:
-        """Observed voxels at the sensor's height within a distance, metres: keys, likelihood and belief of occupied."""
+        """Observed voxels at the sensor's height within a distance, metres.
+
+        Keys, likelihood and belief of occupied.
+        """
         blocks, bits = self.observed
         voxels = voxels_of(blocks, bits.view(np.int64))
         keys = self.keys(voxels)
         offset = (keys + 0.5) * self.resolution - self._origin
-        here = (np.abs(offset[:, 2]) <= self.resolution / 2) & (np.hypot(offset[:, 0], offset[:, 1]) < distance)
-        voxels, at = voxels[here], voxels[here] % VOXELS
+        here = (np.abs(offset[:, 2]) <= self.resolution / 2) & (
+            np.hypot(offset[:, 0], offset[:, 1]) < distance
+        )
+        voxels = voxels[here]
+        at = voxels % VOXELS
         rows = np.searchsorted(blocks, voxels // VOXELS)
         likelihood = self._likelihoods[self.field[rows, at]]
-        return keys[here], likelihood.astype(np.float32), self.belief[voxels // VOXELS, at].astype(np.float32)
+        return (
+            keys[here],
+            likelihood.astype(np.float32),
+            self.belief[voxels // VOXELS, at].astype(np.float32),
+        )
 
     def done(self) -> None:
         """Clear the marks of this scan."""
@@ -182,13 +237,23 @@ def _set(bits: U64, voxels: I64) -> I32:
 
 
 def lane_marks(blocks: int) -> tuple[U64, Bool, I32]:
-    """Memory for the marks of rays, each lane's its own: ``bits``, ``touched`` and ``order`` of the kernels."""
+    """Memory for the marks of rays, each lane's its own.
+
+    ``bits``, ``touched`` and ``order`` of the kernels.
+    """
     lanes = kernels.threads_in_use()
     shapes = (lanes, blocks, 8), (lanes, blocks), (lanes, 1 + blocks)
-    return np.zeros(shapes[0], np.uint64), np.zeros(shapes[1], np.bool_), np.zeros(shapes[2], np.int32)
+    return (
+        np.zeros(shapes[0], np.uint64),
+        np.zeros(shapes[1], np.bool_),
+        np.zeros(shapes[2], np.int32),
+    )
 
 
 def merged(bits: U64, touched: Bool, order: I32) -> tuple[I32, U64]:
-    """The blocks that any lane marked, (K,), sorted, and the bits of their voxels, (K, 8); clears the marks."""
+    """The blocks that any lane marked, (K,), sorted, and the bits of their voxels, (K, 8).
+
+    Clears the marks.
+    """
     blocks: I32 = np.sort(kernels.integer_lines.collect(touched, order))
     return blocks, kernels.integer_lines.merge(blocks, bits)

@@ -18,7 +18,9 @@ from dynaviz_methods.lookups import around, known
 
 SUB_VOXELS = 4  # along the edge of a voxel
 GROWTH = 3  # steps
-LEVEL, RAISED = 3, 4  # bits of a level: 0 to 3, and whether it was raised after its scan
+# bits of a level: 0 to 3, and whether it was raised after its scan
+LEVEL = 3
+RAISED = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,36 +48,52 @@ class ClearSpace(BlockGrid):
         params: those of the method.
 
     Attributes:
-        free, seen, often, revoked: (B, 8) uint64, bits of the voxels that are free, that a ray ever crossed, that were
-            ever crossed often enough to be clear, and that were free until they were hit too often.
+        free, seen, often, revoked: (B, 8) uint64, bits of the voxels that are free, that a ray ever
+            crossed, that were ever crossed often enough to be clear, and that were free until they
+            were hit too often.
     """
 
     def __init__(self, extent: Extent, params: Any) -> None:
         size = SUB_VOXELS * params.sub_voxel
         # The port skips blocks that are free entirely, which depends on blocks far from any point.
-        super().__init__(_filled(extent, 24 * size) if params.port else extent.widened(2 * size), size)
-        self._params, n, own = params, len(self), self.per_block
+        super().__init__(
+            _filled(extent, 24 * size) if params.port else extent.widened(2 * size), size
+        )
+        self._params = params
+        n = len(self)
+        own = self.per_block
         self._neighbours = self.neighbours()
-        self.free, self.seen, self.often, self.revoked, self._hit = (own(np.zeros((n, 8), np.uint64)) for _ in range(5))
+        self.free, self.seen, self.often, self.revoked, self._hit = (
+            own(np.zeros((n, 8), np.uint64)) for _ in range(5)
+        )
         self._recorded = own(np.zeros(n, np.bool_))
-        self._free_count, self._hit_count = own(np.zeros((n, VOXELS), np.int32)), own(np.zeros((n, VOXELS), np.int32))
+        self._free_count = own(np.zeros((n, VOXELS), np.int32))
+        self._hit_count = own(np.zeros((n, VOXELS), np.int32))
         self._marks_of_rays = lane_marks(n)
         self._ranks = np.zeros(n * VOXELS, np.int32)
-        self._of_scan = np.zeros(n * VOXELS + 1, np.uint8)  # levels by voxel; the last entry is for points without one
-        self._rows, self._used, self._stamp = np.empty(n * VOXELS, np.int32), 0, 0
+        # levels by voxel; the last entry is for points without one
+        self._of_scan = np.zeros(n * VOXELS + 1, np.uint8)
+        self._rows = np.empty(n * VOXELS, np.int32)
+        self._used = 0
+        self._stamp = 0
         if self.rolls:  # memory only for blocks that exist
             own(self._rows.reshape(n, VOXELS), -1)
             self.watch(lambda came: self._rows.reshape(n, VOXELS).__setitem__(came, -1))
         else:
             self._rows[:] = -1
-        self._owners, self._marks = np.zeros(1024, np.int64), np.zeros(1024, np.int64)
-        self._scans, self._levels = np.full((1024, SUB_VOXELS**3), -1, np.int32), np.zeros((1024, 64), np.uint8)
+        self._owners = np.zeros(1024, np.int64)
+        self._marks = np.zeros(1024, np.int64)
+        self._scans = np.full((1024, SUB_VOXELS**3), -1, np.int32)
+        self._levels = np.zeros((1024, 64), np.uint8)
 
     def place(self, scan: Scan) -> I64:
         """(N,) int64: the voxel of each point; -1 if it has none, -2 if it is out of range."""
-        p, points = self._params, kernels.as_readonly(scan.points, np.float32)
+        p = self._params
+        points = kernels.as_readonly(scan.points, np.float32)
         limits = np.array([p.min_range, p.max_range]), np.array([p.min_height, p.max_height])
-        voxels: I64 = kernels.free_voxels.place(points, scan.position.copy(), *limits, self._per_metre, *self._place)
+        voxels: I64 = kernels.free_voxels.place(
+            points, scan.position.copy(), *limits, self._per_metre, *self._place
+        )
         return voxels
 
     def hit(self, voxels: I64) -> tuple[Occupied, I64]:
@@ -84,7 +102,8 @@ class ClearSpace(BlockGrid):
         Returns:
             The occupied voxels, and those that were hit too often.
         """
-        k, state = kernels.free_voxels, (self._recorded, self.free, self._free_count, self._hit_count, self.revoked)
+        k = kernels.free_voxels
+        state = (self._recorded, self.free, self._free_count, self._hit_count, self.revoked)
         blocks = np.sort(kernels.ever_free.put(voxels, self._hit))
         cells = voxels_of(blocks, self._hit[blocks].view(np.int64))
         levels = np.zeros(len(cells), np.uint8)
@@ -96,7 +115,9 @@ class ClearSpace(BlockGrid):
     def means(self, scan: Scan, occupied: Occupied) -> F64:
         """(M, 3) float64, metres: the mean of the points of each occupied voxel."""
         points = kernels.as_readonly(scan.points, np.float32)
-        means: F64 = kernels.free_voxels.centres(points, occupied.voxels, self._ranks, len(occupied.cells))
+        means: F64 = kernels.free_voxels.centres(
+            points, occupied.voxels, self._ranks, len(occupied.cells)
+        )
         return means
 
     def cast(self, scan: Scan, targets: F64) -> tuple[Any, U64, I64]:
@@ -105,8 +126,11 @@ class ClearSpace(BlockGrid):
         Returns:
             The blocks with crossed voxels, the bits of these, and the voxels that turn free.
         """
-        p, k = self._params, kernels.free_voxels
-        heights = np.array([max(p.min_height, p.ray_min_height), min(p.max_height, p.ray_max_height)])
+        p = self._params
+        k = kernels.free_voxels
+        heights = np.array(
+            [max(p.min_height, p.ray_min_height), min(p.max_height, p.ray_max_height)]
+        )
         way = scan.position.copy(), min(p.max_range, p.ray_range), heights, self.resolution, p.port
         k.cast(targets, *way, self._hit, *self._place, *self._marks_of_rays)
         blocks, crossed = merged(*self._marks_of_rays)
@@ -115,18 +139,26 @@ class ClearSpace(BlockGrid):
         remembered = self.seen, self.often, candidates
         k.count(blocks, crossed, p.counts_to_free, p.port, *counts, self._hit_count, *remembered)
         chosen = voxels_of(blocks, candidates.view(np.int64))
-        return blocks, crossed, k.release(chosen, p.counts_to_free, self._neighbours, *counts, self.revoked)
+        return (
+            blocks,
+            crossed,
+            k.release(chosen, p.counts_to_free, self._neighbours, *counts, self.revoked),
+        )
 
     def take_back(self, freed: I64) -> None:
         """Raise the levels of what earlier scans saw in voxels that turn free."""
-        k, steps = kernels.sub_voxels, GROWTH - 1 if self._params.port else GROWTH
+        k = kernels.sub_voxels
+        steps = GROWTH - 1 if self._params.port else GROWTH
         seeds = k.pairs(freed, self._rows, self._scans)
         seeds = seeds[np.argsort(seeds[:, 0], kind="stable")]
         table = self._rows, self._scans, self._levels
         self._stamp = k.take_back(seeds, steps, self._neighbours, *table, self._marks, self._stamp)
 
     def insert(self, scan: Scan, occupied: Occupied, number: int) -> U8:
-        """Insert a scan into the map; returns the level of each point by its own scan, (N,) uint8."""
+        """Insert a scan into the map.
+
+        Returns the level of each point by its own scan, (N,) uint8.
+        """
         if self.rolls and self._used + len(occupied.cells) > len(self._owners):
             self._compact()
         while self._used + len(occupied.cells) > len(self._owners):
@@ -136,7 +168,9 @@ class ClearSpace(BlockGrid):
             self._scans = np.append(self._scans, np.full_like(self._scans, -1), 0)
         self._of_scan[occupied.cells] = occupied.levels
         table = self._rows, self._owners, self._used, self._scans, self._levels
-        self._used = kernels.sub_voxels.insert(occupied.voxels, self._sub(scan), number, self._of_scan, *table)
+        self._used = kernels.sub_voxels.insert(
+            occupied.voxels, self._sub(scan), number, self._of_scan, *table
+        )
         own = np.where(occupied.voxels >= 0, self._of_scan[occupied.voxels], 0).astype(np.uint8)
         self._of_scan[occupied.cells] = 0
         self._hit[occupied.blocks] = 0
@@ -147,12 +181,15 @@ class ClearSpace(BlockGrid):
         kept = np.flatnonzero(self._rows[self._owners[: self._used]] == np.arange(self._used))
         for table in (self._owners, self._marks, self._scans, self._levels):
             table[: len(kept)] = table[kept]
-        self._scans[len(kept) :], self._levels[len(kept) :] = -1, 0
+        self._scans[len(kept) :] = -1
+        self._levels[len(kept) :] = 0
         self._used = len(kept)
         self._rows[self._owners[: self._used]] = np.arange(self._used, dtype=np.int32)
 
     def passes(self, voxels: I64) -> tuple[F64, F64]:
-        """Scans in a row that passed through each voxel (K,), and clear voxels among the 27 around it; NaN if none."""
+        """Scans in a row that passed through each voxel (K,), and clear voxels among the 27 around
+        it; NaN if none.
+        """
         voxels = np.maximum(voxels, -1)
         cubes = around(self, voxels)
         counts = np.where(cubes < 0, 0, self._free_count.ravel()[cubes])
@@ -160,7 +197,9 @@ class ClearSpace(BlockGrid):
         return known(self._free_count.ravel()[voxels], voxels), known(clear, voxels)
 
     def levels(self, scan: Scan, voxels: I64) -> U8:
-        """(N,) uint8: the level of each point's sub-voxel, plus RAISED if it was raised after its scan."""
+        """(N,) uint8: the level of each point's sub-voxel, plus RAISED if it was raised after its
+        scan.
+        """
         found: U8 = kernels.sub_voxels.look_up(voxels, self._sub(scan), self._rows, self._levels)
         return found
 
@@ -172,10 +211,14 @@ class ClearSpace(BlockGrid):
 
 
 def _filled(extent: Extent, around: float) -> Extent:
-    """All cells within the bounds of an extent, and around them, metres; live, those that rays reach."""
+    """All cells within the bounds of an extent, and around them, metres.
+
+    Live, those that rays reach.
+    """
     if isinstance(extent, Window):
         return extent
-    low, high = extent.low - around, extent.high + around
+    low = extent.low - around
+    high = extent.high + around
     first, last = (np.floor(bound / CELL).astype(np.int64) for bound in (low, high))
     axes = [np.arange(a, b + 1, dtype=np.int32) for a, b in zip(first, last, strict=True)]
     return Extent(low, high, np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3))

@@ -1,4 +1,7 @@
-"""Reason codes of points: in memory, four bits per point, because methods store them for every point of a sequence."""
+"""Reason codes of points.
+
+In memory, four bits per point, because methods store them for every point of a sequence.
+"""
 
 from __future__ import annotations
 

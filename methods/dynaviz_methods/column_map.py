@@ -1,4 +1,7 @@
-"""A map in binary columns of height slices, as BeautyMap encodes it; wraps ``kernels/columns.py``."""
+"""A map in binary columns of height slices, as BeautyMap encodes it.
+
+Wraps ``kernels/columns.py``.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,12 @@ TILE = 64  # columns along the side of a tile
 FINE = 0.1  # metres: smallest height of a fine bin
 GROUND_PART = 0.85  # share of a split slice's points that are ground
 GAP = 2  # empty slices or fine bins; everything above such a gap is an overhang
-# The base of a column is bounded by those of the columns up to NEIGHBOURS before it in x and y, if LEAST of them have
-# points: it may differ from their median by DEVIATIONS times their median absolute deviation.
-NEIGHBOURS, LEAST, DEVIATIONS = 5, 15, 3.0
+# The base of a column is bounded by those of the columns up to NEIGHBOURS before it in x and y, if
+# LEAST of them have points: it may differ from their median by DEVIATIONS times their median
+# absolute deviation.
+NEIGHBOURS = 5
+LEAST = 15
+DEVIATIONS = 3.0
 
 I8 = NDArray[np.int8]
 T = TypeVar("T")
@@ -34,8 +40,10 @@ class Cloud:
 
     Attributes:
         points: (N, 3) float32, metres, world frame; read-only, C-contiguous.
-        low, high: (2,) float64, metres: lowest and highest x and y of points in reach; infinite without points.
-        squares: (K, 2) float64, metres: lower corners of squares, ``TILE`` columns wide, that contain all these points.
+        low, high: (2,) float64, metres: lowest and highest x and y of points in reach; infinite
+            without points.
+        squares: (K, 2) float64, metres: lower corners of squares, ``TILE`` columns wide, that
+            contain all these points.
     """
 
     points: F32
@@ -70,8 +78,12 @@ class ColumnMap:
         corner: (2,) float64, metres: where columns are counted from.
     """
 
-    def __init__(self, clouds: Sequence[Cloud], side: float, height: float, keep: bool = False) -> None:
-        self._clouds, self._height, self._keep = [cloud.points for cloud in clouds], float(height), keep
+    def __init__(
+        self, clouds: Sequence[Cloud], side: float, height: float, keep: bool = False
+    ) -> None:
+        self._clouds = [cloud.points for cloud in clouds]
+        self._height = float(height)
+        self._keep = keep
         self._step = max(FINE, height / SLICES)
         self._columns: list[I32 | None] = [None] * len(clouds)
         self._slices: list[I8 | None] = [None] * len(clouds)
@@ -82,15 +94,22 @@ class ColumnMap:
         self._grid = (self.corner, float(side), self.tiles)
         for cloud in clouds:  # a square covers parts of up to four tiles
             ends = [(cloud.squares - self.corner) / side + end for end in (-1, TILE + 1)]
-            (i, j), (u, v) = (np.clip(end // TILE, 0, np.array(self.tiles.shape) - 1).astype(int).T for end in ends)
+            (i, j), (u, v) = (
+                np.clip(end // TILE, 0, np.array(self.tiles.shape) - 1).astype(int).T
+                for end in ends
+            )
             self.tiles[np.concatenate([i, i, u, u]), np.concatenate([j, v, j, v])] = 0
         self._count = int(kernels.columns.number(self.tiles)) * TILE * TILE
         low_z: F64 = reduce(np.fmin, self._shared(self._lowest), np.full(self._count, np.nan))
         self.lowest = float(np.fmin.reduce(low_z, initial=np.inf))
         self.base: F64
         self.raised: Bool
-        self.base, self.raised = kernels.columns.level(low_z, self.tiles, NEIGHBOURS, LEAST, DEVIATIONS)
-        self.bits: I32 = reduce(np.bitwise_or, self._shared(self._fill), np.zeros(self._count, np.int32))
+        self.base, self.raised = kernels.columns.level(
+            low_z, self.tiles, NEIGHBOURS, LEAST, DEVIATIONS
+        )
+        self.bits: I32 = reduce(
+            np.bitwise_or, self._shared(self._fill), np.zeros(self._count, np.int32)
+        )
         self.rows: I64 = kernels.columns.rows(self.bits)
         self.cuts = np.zeros((int(self.rows[-1]), 2), np.uint8)
 
@@ -110,14 +129,19 @@ class ColumnMap:
 
     def placed(self, cloud: int) -> Placed:
         """Column and slice of the points of one of the clouds."""
-        points, columns, slices = self._clouds[cloud], self._columns[cloud], self._slices[cloud]
+        points = self._clouds[cloud]
+        columns = self._columns[cloud]
+        slices = self._slices[cloud]
         columns = self.columns(points) if columns is None else columns
         if slices is None:
             slices = kernels.columns.slices(points, columns, self.base, self._height)
         return columns, slices
 
     def _shared(self, work: Callable[[range], T]) -> list[T]:
-        """What some work on the clouds, shared among threads, returns; the same for any number of threads if merged."""
+        """What some work on the clouds, shared among threads, returns.
+
+        The same for any number of threads if merged.
+        """
         lanes = min(kernels.threads_in_use(), len(self._clouds))
         parts = [range(lane, len(self._clouds), lanes) for lane in range(lanes)]
         return kernels.each(work, parts)
@@ -141,7 +165,9 @@ class ColumnMap:
         return bits
 
     def find_ground(self, wanted: I32) -> None:
-        """Find the ground in slices, given by their bits (n,), by the histograms of the heights of their points."""
+        """Find the ground in slices, given by their bits (n,), by the histograms of the heights of
+        their points.
+        """
         fine = np.zeros((len(self.cuts), 33), np.uint32)
         for cloud, points in enumerate(self._clouds):
             place = (points, *self.placed(cloud), self.base, self._height, self._step)
@@ -154,11 +180,19 @@ class ColumnMap:
         return kernels.columns.reasons(*place, self.bits, self.rows, steps, splits, self.cuts)
 
     def bins(self, points: F32) -> tuple[I64, I64, I64, I64, I64]:
-        """(N,) int64 each: column, slice and fine bin of points, and the ground's first bin and its end; -1 if none."""
+        """(N,) int64 each: column, slice and fine bin of points, and the ground's first bin and its
+        end; -1 if none.
+        """
         columns, slices = self.place(points)
         place = (points, columns, slices, self.base, self._height, self._step)
         fine, first, end = kernels.columns.bins(*place, self.bits, self.rows, self.cuts).T
-        return np.where(slices < 0, -1, columns).astype(np.int64), slices.astype(np.int64), fine, first, end
+        return (
+            np.where(slices < 0, -1, columns).astype(np.int64),
+            slices.astype(np.int64),
+            fine,
+            first,
+            end,
+        )
 
     def corners(self, columns: I64) -> F64:
         """(K, 2) float64: index of columns from the corner, along x and y."""
@@ -168,10 +202,15 @@ class ColumnMap:
         return np.stack([i * 64 + columns % 4096 // 64, j * 64 + columns % 64], 1)
 
     def window(self, first: I64, width: int) -> I64:
-        """(width, width) int64: the columns from ``first`` (2,) on along x and y; -1 if they have no tile."""
+        """(width, width) int64: the columns from ``first`` (2,) on along x and y.
+
+        -1 if they have no tile.
+        """
         i, j = (first[a] + np.arange(width) for a in (0, 1))
         inside = [(x >= 0) & (x < 64 * self.tiles.shape[a]) for a, x in enumerate((i, j))]
-        tile = self.tiles[np.ix_(np.where(inside[0], i >> 6, 0), np.where(inside[1], j >> 6, 0))].astype(np.int64)
+        tile = self.tiles[
+            np.ix_(np.where(inside[0], i >> 6, 0), np.where(inside[1], j >> 6, 0))
+        ].astype(np.int64)
         columns: I64 = tile * 4096 + (i & 63)[:, None] * 64 + (j & 63)[None]
         columns[(tile < 0) | ~(inside[0][:, None] & inside[1][None])] = -1
         return columns

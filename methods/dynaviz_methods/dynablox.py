@@ -3,21 +3,28 @@
 Schmid et al. 2023, as the benchmark runs it. The algorithm, online:
 
     for each scan
-        a  detect:     seed clusters from ever-free voxels with points; grow them over occupied voxels that share a
-                       face, where only ever-free voxels keep growing; merge clusters closer than cluster_distance;
-                       call a cluster dynamic if it has from min_cluster to max_cluster points
-        b  ever-free:  call a voxel occupied if it has a point, or if the last scan observed it with a distance below
+        a  detect:     seed clusters from ever-free voxels with points; grow them over occupied
+        voxels that share a
+                       face, where only ever-free voxels keep growing; merge clusters closer than
+                       cluster_distance; call a cluster dynamic if it has from min_cluster to
+                       max_cluster points
+        b  ever-free:  call a voxel occupied if it has a point, or if the last scan observed it with
+        a distance below
                        occupied_distance
-                       set it ever-free if the last scan observed it and it and its 26 neighbours are clear: observed,
-                       with a distance of at least occupied_distance, last occupied more than burn_in frames ago
-                       revoke it and its 26 neighbours if it is occupied for revoke_after consecutive frames
-        c  TSDF:       project the scan into a range image; update each voxel in view by the average of the projective
-                       distances along its ray, truncated; skip voxels farther than truncation behind a surface
-    label a point dynamic if its voxel is ever-free when the point arrives; with clusters, if its cluster is dynamic
+                       set it ever-free if the last scan observed it and it and its 26 neighbours
+                       are clear: observed, with a distance of at least occupied_distance, last
+                       occupied more than burn_in frames ago revoke it and its 26 neighbours if it
+                       is occupied for revoke_after consecutive frames
+        c  TSDF:       project the scan into a range image; update each voxel in view by the average
+        of the projective
+                       distances along its ray, truncated; skip voxels farther than truncation
+                       behind a surface
+    label a point dynamic if its voxel is ever-free when the point arrives; with clusters, if its
+    cluster is dynamic
 
-Consecutive means at most temporal_buffer frames apart. Points closer than min_range or farther than max_range, points
-that are not finite, and points more than 32768 voxels from the world's origin are ignored and kept. Labels are decided
-when a scan is observed, and stored with four bits per point.
+Consecutive means at most temporal_buffer frames apart. Points closer than min_range or farther than
+max_range, points that are not finite, and points more than 32768 voxels from the world's origin are
+ignored and kept. Labels are decided when a scan is observed, and stored with four bits per point.
 """
 
 from __future__ import annotations
@@ -48,27 +55,32 @@ SHOWN = 25.0  # metres around the sensor: range of the voxels to show
 
 @dataclass(frozen=True)
 class DynabloxParams:
-    """Parameters of Dynablox; the defaults are the benchmark's for KITTI, except those of the range image.
+    """Parameters of Dynablox.
+
+    The defaults are the benchmark's for KITTI, except those of the range image.
 
     Attributes:
         resolution: edge of a voxel, metres.
         min_range: closer points are ignored, metres.
         max_range: farther points are ignored, metres; 0 for no limit.
-        image_rows: rows of the range image; 0 for one row per ring of the sensor. For a sensor without rings, pixels
-            are square, one per point of a sweep.
+        image_rows: rows of the range image; 0 for one row per ring of the sensor. For a sensor
+            without rings, pixels are square, one per point of a sweep.
         image_columns: maximum number of columns of the range image, which covers 360 degrees.
-        field_of_view: vertical field of view of the range image, degrees, symmetric about the horizon; 0 for the range
-            from the sensor's lowest to its highest ring.
-        truncation: truncation distance of the TSDF, metres; also how far behind a surface voxels are updated.
+        field_of_view: vertical field of view of the range image, degrees, symmetric about the
+            horizon; 0 for the range from the sensor's lowest to its highest ring.
+        truncation: truncation distance of the TSDF, metres; also how far behind a surface voxels
+            are updated.
         max_weight: maximum number of observations that a voxel's average represents.
         occupied_distance: voxels closer to a surface than this are occupied, metres.
         burn_in: frames without occupancy of a voxel and its neighbours before it becomes ever-free.
         temporal_buffer: maximum gap between frames of occupancy that count as consecutive, frames.
-        revoke_after: consecutive frames of occupancy after which a voxel and its neighbours are no longer ever-free.
+        revoke_after: consecutive frames of occupancy after which a voxel and its neighbours are no
+            longer ever-free.
         cluster_distance: clusters closer than this are merged, metres.
         min_cluster: minimum number of points of a dynamic cluster.
         max_cluster: maximum number of points of a dynamic cluster.
-        clusters: remove the points of dynamic clusters only; by default, all points in ever-free voxels are removed.
+        clusters: remove the points of dynamic clusters only; by default, all points in ever-free
+            voxels are removed.
     """
 
     resolution: float = 0.1
@@ -104,17 +116,20 @@ class DynabloxParams:
         require(self, "image_rows", lambda rows: rows * self.image_columns <= 1 << 24, what)
         if self.image_rows == 1 or self.field_of_view >= 180:
             raise ValueError(
-                f"image_rows = {self.image_rows}, field_of_view = {self.field_of_view}: give at least two rows and "
+                f"image_rows = {self.image_rows}, field_of_view = {self.field_of_view}: give at "
+                "least two rows and "
                 "less than 180 degrees"
             )
         if self.occupied_distance > self.truncation:
             raise ValueError(
-                f"occupied_distance = {self.occupied_distance}: distances end at truncation = {self.truncation}; "
+                f"occupied_distance = {self.occupied_distance}: distances end at truncation = "
+                f"{self.truncation}; "
                 "give at most that"
             )
         if self.temporal_buffer > self.burn_in:
             raise ValueError(
-                f"temporal_buffer = {self.temporal_buffer}: give at most burn_in = {self.burn_in}; otherwise a voxel "
+                f"temporal_buffer = {self.temporal_buffer}: give at most burn_in = {self.burn_in}; "
+                "otherwise a voxel "
                 "can become free in the middle of consecutive occupancy"
             )
         what = f"at least min_cluster = {self.min_cluster}"
@@ -124,7 +139,9 @@ class DynabloxParams:
 NEVER_FREE, FREE, FREE_SMALL, FREE_LARGE, BESIDE, REVOKED, OUT_OF_RANGE, OUT_OF_REACH = range(8)
 REASONS = (
     Reason("never_free", "kept: its voxel was not ever-free", Cause.NOT_YET_FREE),
-    Reason("ever_free", "removed: in an ever-free voxel, part of a dynamic cluster", Cause.SPARSE_RINGS),
+    Reason(
+        "ever_free", "removed: in an ever-free voxel, part of a dynamic cluster", Cause.SPARSE_RINGS
+    ),
     Reason(
         "ever_free_small_cluster",
         "removed, but kept with clusters: in an ever-free voxel, but the cluster is too small",
@@ -137,28 +154,52 @@ REASONS = (
     ),
     Reason(
         "beside_ever_free",
-        "kept, but removed with clusters: part of a dynamic cluster, in a voxel that is not ever-free",
+        "kept, but removed with clusters: part of a dynamic cluster, in a voxel that is not "
+        "ever-free",
         Cause.SHARED_CELL,
     ),
-    Reason("revoked", "kept: its voxel was ever-free until it or a neighbour stayed occupied", Cause.STANDING),
+    Reason(
+        "revoked",
+        "kept: its voxel was ever-free until it or a neighbour stayed occupied",
+        Cause.STANDING,
+    ),
     Reason(
         "out_of_range",
         "kept unjudged: closer than min_range, farther than max_range, or not finite",
         Cause.OUT_OF_RANGE,
     ),
-    Reason("out_of_reach", "kept unjudged: more than 32768 voxels from the world's origin", Cause.OUT_OF_RANGE),
+    Reason(
+        "out_of_reach",
+        "kept unjudged: more than 32768 voxels from the world's origin",
+        Cause.OUT_OF_RANGE,
+    ),
 )
 STATES = (
     State(
         "clusters",
         PointClasses,
-        "Points by cluster: ever-free voxels of dynamic clusters, voxels these touch, clusters of a wrong size",
+        "Points by cluster: ever-free voxels of dynamic clusters, voxels these touch, clusters of "
+        "a wrong size",
         legend=("none", "dynamic", "touched", "too small", "too large"),
     ),
-    State("intruded", Voxels, "Ever-free voxels with points of this scan; number of points", value_range=(1.0, 50.0)),
+    State(
+        "intruded",
+        Voxels,
+        "Ever-free voxels with points of this scan; number of points",
+        value_range=(1.0, 50.0),
+    ),
     State("became_free", Voxels, "Voxels near the sensor that become ever-free with this scan"),
-    State("revoked", Voxels, "Voxels near the sensor that are no longer ever-free: they stayed occupied"),
-    State("range_image", RangeImage, "Range of the nearest point in each pixel, metres", value_range=(0.0, 50.0)),
+    State(
+        "revoked",
+        Voxels,
+        "Voxels near the sensor that are no longer ever-free: they stayed occupied",
+    ),
+    State(
+        "range_image",
+        RangeImage,
+        "Range of the nearest point in each pixel, metres",
+        value_range=(0.0, 50.0),
+    ),
     State("free_voxels", Scalar, "Number of ever-free voxels, among those where points can lie"),
 )
 CLASS = np.zeros(len(REASONS), np.uint8)  # reason code to class of the legend
@@ -168,7 +209,9 @@ CLASS[[FREE, BESIDE, FREE_SMALL, FREE_LARGE]] = 1, 2, 3, 4
 class Dynablox:
     """Dynablox; each point is labelled when it arrives."""
 
-    info: ClassVar[MethodInfo] = MethodInfo("dynablox", "Dynablox", "Schmid et al., RA-L 2023", REASONS, STATES)
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "dynablox", "Dynablox", "Schmid et al., RA-L 2023", REASONS, STATES
+    )
     Params: ClassVar[type[Any]] = DynabloxParams
 
     def __init__(self, params: Any) -> None:
@@ -193,7 +236,9 @@ class Dynablox:
         self._show(reasons, voxels, new, lost)
 
     def label(self, scan: Scan) -> Labels:
-        """Label points dynamic whose voxel was ever-free when the scan was observed, or whose cluster is dynamic."""
+        """Label points dynamic whose voxel was ever-free when the scan was observed, or whose
+        cluster is dynamic.
+        """
         reasons = unpack_codes(self._reasons[scan.index], len(scan))
         return Labels(self._removed[reasons], reasons)
 
@@ -206,19 +251,31 @@ class Dynablox:
         return Halo(OBJECT)
 
     def evidence(self, asked: Asked) -> Evidence:
-        """How far the points' voxels are from a surface, and how many voxels around them are clear."""
+        """How far the points' voxels are from a surface, and how many voxels around
+        them are clear.
+        """
         voxels = self._map.locate(asked.points)
         cubes = around(self._map.grid, voxels)
         clear = self._map.clear(cubes.ravel()).reshape(cubes.shape).sum(1)
         free = read(self._map.free, voxels).astype(float)
         quantities = (
-            Quantity("distance", self._map.distances(voxels), "m", threshold=self.params.occupied_distance),
+            Quantity(
+                "distance",
+                self._map.distances(voxels),
+                "m",
+                threshold=self.params.occupied_distance,
+            ),
             Quantity("clear", known(clear, voxels), threshold=cubes.shape[1]),
             Quantity("ever-free", known(free, voxels), total=True, threshold=1),
         )
         index, *_ = self._judged
         rules = (self._rule(asked),) if index == asked.scan.index else ()
-        return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules, final=bool(rules))
+        return Evidence(
+            voxels_around(asked.points, self.params.resolution),
+            quantities,
+            rules,
+            final=bool(rules),
+        )
 
     def _judge(self, scan: Scan, inside: Bool, voxels: I64) -> U8:
         """Reason code of each point, (N,) uint8."""
@@ -242,7 +299,9 @@ class Dynablox:
         """The points that belong to clusters, and the size of each one's cluster, points."""
         clusters = kernels.clusters.grow(voxels, free, self._map.neighbours)
         members = np.flatnonzero(clusters >= 0)
-        merged = kernels.clusters.merge(scan.points[members], clusters[members], self.params.cluster_distance)
+        merged = kernels.clusters.merge(
+            scan.points[members], clusters[members], self.params.cluster_distance
+        )
         return members, np.bincount(merged)[merged]
 
     def _rule(self, asked: Asked) -> Rule:
@@ -260,17 +319,24 @@ class Dynablox:
         return Rule("dynamic cluster", (lowest, highest))
 
     def _show(self, reasons: U8, voxels: I64, new: Bits, lost: Bits) -> None:
-        wants, emit = self._probe.wants, self._probe.emit
+        wants = self._probe.wants
+        emit = self._probe.emit
         if wants("free_voxels"):
             emit("free_voxels", Scalar(int(np.bitwise_count(self._map.free).sum())))
         if wants("range_image"):
-            emit("range_image", RangeImage(np.where(self._map.image > 0, self._map.image, np.float32(np.nan))))
+            emit(
+                "range_image",
+                RangeImage(np.where(self._map.image > 0, self._map.image, np.float32(np.nan))),
+            )
         for name, bits in (("became_free", new), ("revoked", lost)):
             if wants(name):
                 emit(name, self._map.near(bits, SHOWN))
         if wants("intruded"):
-            intruded, counts = np.unique(voxels[(reasons >= FREE) & (reasons <= FREE_LARGE)], return_counts=True)
-            keys, size = self._map.grid.keys(intruded), self.params.resolution
+            intruded, counts = np.unique(
+                voxels[(reasons >= FREE) & (reasons <= FREE_LARGE)], return_counts=True
+            )
+            keys = self._map.grid.keys(intruded)
+            size = self.params.resolution
             emit("intruded", Voxels(keys, size, counts.astype(np.float32)))
         if wants("clusters"):
             emit("clusters", PointClasses(CLASS[reasons]))
@@ -282,14 +348,18 @@ def view_of(params: DynabloxParams, sensor: Sensor) -> SensorView:
     Raises:
         UsageError: if neither gives its rows or its vertical field of view.
     """
-    rows, columns, half = params.image_rows or sensor.rings, params.image_columns, params.field_of_view / 2
+    rows = params.image_rows or sensor.rings
+    columns = params.image_columns
+    half = params.field_of_view / 2
     low, high = (-half, half) if half else sensor.elevation or (0.0, 0.0)
     if not rows and sensor.points_per_sweep and low < high:
         pixel = math.sqrt((high - low) * 360 / sensor.points_per_sweep)  # its edge, degrees
-        rows, columns = round((high - low) / pixel), min(columns, round(360 / pixel))
+        rows = round((high - low) / pixel)
+        columns = min(columns, round(360 / pixel))
     if not rows or rows < 2 or not low < high:
         raise UsageError(
-            f"dynablox needs the rows and the vertical field of view of a range image, but sensor '{sensor.name}' has "
+            "dynablox needs the rows and the vertical field of view of a range image, but sensor "
+            f"'{sensor.name}' has "
             "none: give --sensor NAME, or --set image_rows=NUMBER --set field_of_view=DEGREES"
         )
     return SensorView(rows, columns, high, low)

@@ -1,4 +1,7 @@
-"""Filters of a scan, as in PCL: its ground plane by RANSAC and a fit to the inliers; outliers (Rusu et al. 2008)."""
+"""Filters of a scan, as in PCL: its ground plane by RANSAC and a fit to the inliers.
+
+Outliers (Rusu et al. 2008).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ SAMPLES = 50  # maximum number of RANSAC iterations, PCL's default
 CONFIDENCE = 0.99  # of having found the best plane, PCL's default
 
 
-def ground_plane(points: F32, distance: float, angle: float, random: np.random.Generator) -> tuple[Bool, Plane | None]:
+def ground_plane(
+    points: F32, distance: float, angle: float, random: np.random.Generator
+) -> tuple[Bool, Plane | None]:
     """Find the near-horizontal plane with the most points, and its points.
 
     Args:
@@ -25,8 +30,8 @@ def ground_plane(points: F32, distance: float, angle: float, random: np.random.G
         random: generator of the samples.
 
     Returns:
-        (N,) bool: points on the plane; and the plane. All False and None for fewer than ``LEAST`` points, and if the
-        fitted plane is too steep.
+        (N,) bool: points on the plane; and the plane. All False and None for fewer than ``LEAST``
+        points, and if the fitted plane is too steep.
     """
     none = np.zeros(len(points), np.bool_)
     if len(points) < LEAST:
@@ -70,7 +75,8 @@ def outliers(points: F32, neighbours: int, stddev: float) -> Bool:
 
     Args:
         points: (N, 3) float32, metres; finite.
-        neighbours: number of nearest neighbours, not counting the point itself; all others if there are fewer.
+        neighbours: number of nearest neighbours, not counting the point itself; all others if there
+            are fewer.
         stddev: threshold above the mean over all points, standard deviations.
 
     Returns:
@@ -82,8 +88,12 @@ def outliers(points: F32, neighbours: int, stddev: float) -> Bool:
     from scipy.spatial import cKDTree
 
     # The fastest options for scans: a tree without medians, and queries in the order of its leaves.
-    tree, means = cKDTree(points, balanced_tree=False), np.empty(len(points))
-    distances, _ = tree.query(points[tree.indices], neighbours + 1, workers=kernels.threads_in_use())
-    means[tree.indices] = np.sum(distances, 1) / neighbours  # the point itself is among them, at distance 0
+    tree = cKDTree(points, balanced_tree=False)
+    means = np.empty(len(points))
+    distances, _ = tree.query(
+        points[tree.indices], neighbours + 1, workers=kernels.threads_in_use()
+    )
+    # the point itself is among them, at distance 0
+    means[tree.indices] = np.sum(distances, 1) / neighbours
     far: Bool = means > means.mean() + stddev * means.std(ddof=1)
     return far

@@ -19,7 +19,8 @@ def known(values: ArrayLike, voxels: I64) -> F64:
 
 
 def marked(blocks: I32, bits: NDArray[Any], voxels: I64) -> Bool:
-    """(K,) bool: whether the bits of voxels (K,) are set, given some blocks (B,), in any order, and their bits (B, 8).
+    """(K,) bool: whether the bits of voxels (K,) are set, given some blocks (B,), in any order, and
+    their bits (B, 8).
 
     False for -1, and in all other blocks.
     """
@@ -31,12 +32,17 @@ def marked(blocks: I32, bits: NDArray[Any], voxels: I64) -> Bool:
     row_of = np.full(len(wanted), -1)
     row_of[at[here]] = here
     rows = row_of[which]
-    found: Bool = (rows >= 0) & (bits.view(np.int64)[rows, voxels >> 6 & 7] >> (voxels & 63) & 1 > 0)
+    found: Bool = (rows >= 0) & (
+        bits.view(np.int64)[rows, voxels >> 6 & 7] >> (voxels & 63) & 1 > 0
+    )
     return found
 
 
 def around(grid: BlockGrid, voxels: I64, margin: int = 1) -> I64:
-    """(K, (2 margin + 1)^3) int64: the voxels up to ``margin`` voxels to each side; -1 if absent, or around -1."""
+    """(K, (2 margin + 1)^3) int64: the voxels up to ``margin`` voxels to each side.
+
+    -1 if absent, or around -1.
+    """
     shifts = np.array(list(product(range(-margin, margin + 1), repeat=3)))
     centres = (grid.keys(voxels)[:, None] + shifts + 0.5) * grid.resolution
     found = grid.locate(centres.reshape(-1, 3).astype(np.float32)).reshape(len(voxels), -1)

@@ -1,19 +1,23 @@
-"""OctoMap and its two variants: ``octomap``, ``octomap_g`` (ground) and ``octomap_gf`` (ground and noise filter).
+"""OctoMap and its two variants.
 
-Hornung et al. 2013; the variants are those of the benchmark (Zhang et al. 2023, Section III-C). One algorithm:
+``octomap``, ``octomap_g`` (ground) and ``octomap_gf`` (ground and noise filter).
+
+Hornung et al. 2013; the variants are those of the benchmark (Zhang et al. 2023, Section III-C). One
+algorithm:
 
     for each scan
         F  noise:   find points far from their neighbours (statistical outlier removal)
         G  ground:  fit one plane to the other points (RANSAC); points near it are ground
-        free:       find the voxels that rays cross; for each, once: log-odds += logit(prob_miss), clamp
-        occupied:   find the voxels of all points except ground; for each, once: log-odds += logit(prob_hit), clamp
+        free:       find the voxels that rays cross; for each, once: log-odds += logit(prob_miss),
+        clamp occupied:   find the voxels of all points except ground; for each, once: log-odds +=
+        logit(prob_hit), clamp
     label a point static if the log-odds of its voxel are at least 0, or if it is ground
 
-Noise casts no ray. A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. If a
-scan both crosses and hits a voxel, both updates count. Log-odds are float32; only voxels near points store them
-(``dynaviz.blocks.blocks``).
-Keys have 16 bits per axis, as in the original: points more than 32768 voxels from the world's origin, and points that
-are not finite, are kept unjudged. A sensor beyond that reach casts no rays, but its points still hit.
+Noise casts no ray. A ray crosses the voxels from the sensor's up to, but not including, the voxel
+of its point. If a scan both crosses and hits a voxel, both updates count. Log-odds are float32;
+only voxels near points store them (``dynaviz.blocks.blocks``). Keys have 16 bits per axis, as in
+the original: points more than 32768 voxels from the world's origin, and points that are not finite,
+are kept unjudged. A sensor beyond that reach casts no rays, but its points still hit.
 """
 
 from __future__ import annotations
@@ -67,8 +71,8 @@ class OctoMapGParams(OctoMapParams):
     Attributes:
         ground_distance: points closer than this to the ground plane are ground, metres.
         ground_angle: maximum angle between the plane's normal and the vertical, radians.
-        cast_ground_rays: cast rays to ground points, as the public program does, from which the paper's tables come;
-            the paper's text excludes these rays.
+        cast_ground_rays: cast rays to ground points, as the public program does, from which the
+            paper's tables come; the paper's text excludes these rays.
     """
 
     ground_distance: float = 0.04
@@ -85,9 +89,10 @@ class OctoMapGFParams(OctoMapGParams):
     """Parameters of OctoMap with ground estimation and noise filter, in addition to those of both.
 
     Attributes:
-        noise_neighbours: number of nearest neighbours over which a point's mean distance is computed.
-        noise_stddev: a point is noise if its mean distance exceeds the mean over all points by this many standard
-            deviations.
+        noise_neighbours: number of nearest neighbours over which a point's mean distance is
+            computed.
+        noise_stddev: a point is noise if its mean distance exceeds the mean over all points by this
+            many standard deviations.
     """
 
     noise_neighbours: int = 50
@@ -109,8 +114,16 @@ def _positive(params: OctoMapParams, names: str) -> None:
 
 HIT, CROSSED, NEVER_CROSSED, OUT_OF_REACH, GROUND, NOISE = range(6)
 REASONS = (
-    Reason("hit_more_than_missed", "kept: rays crossed the voxel, but hits outweigh misses", Cause.STANDING),
-    Reason("crossed_by_rays", "removed: rays crossed the voxel, and misses outweigh hits", Cause.PARTLY_EMPTY),
+    Reason(
+        "hit_more_than_missed",
+        "kept: rays crossed the voxel, but hits outweigh misses",
+        Cause.STANDING,
+    ),
+    Reason(
+        "crossed_by_rays",
+        "removed: rays crossed the voxel, and misses outweigh hits",
+        Cause.PARTLY_EMPTY,
+    ),
     Reason("never_crossed", "kept: no ray crossed the voxel", Cause.NOTHING_BEHIND),
     Reason(
         "out_of_reach",
@@ -118,16 +131,34 @@ REASONS = (
         Cause.OUT_OF_RANGE,
     ),
     Reason("ground_plane", "kept: on the ground plane of its scan", Cause.TAKEN_FOR_GROUND),
-    Reason("noise_cell", "kept: noise in its scan, which marks its voxel occupied without a ray", Cause.SPARSE_RINGS),
+    Reason(
+        "noise_cell",
+        "kept: noise in its scan, which marks its voxel occupied without a ray",
+        Cause.SPARSE_RINGS,
+    ),
 )
 ODDS_RANGE = (logit(OctoMapParams.clamp_min), logit(OctoMapParams.clamp_max))
 STATES = (
-    State("crossed", Voxels, "Voxels with points that rays of this scan crossed; log-odds", value_range=ODDS_RANGE),
+    State(
+        "crossed",
+        Voxels,
+        "Voxels with points that rays of this scan crossed; log-odds",
+        value_range=ODDS_RANGE,
+    ),
     State("hit", Voxels, "Voxels that this scan marked occupied; log-odds", value_range=ODDS_RANGE),
-    State("log_odds", Voxels, "Voxels with points that this scan crossed or hit; log-odds", value_range=ODDS_RANGE),
+    State(
+        "log_odds",
+        Voxels,
+        "Voxels with points that this scan crossed or hit; log-odds",
+        value_range=ODDS_RANGE,
+    ),
     State("ground", Mask, "Points on the ground plane: always static"),
     State("ground_plane", Plane, "Ground plane fitted to this scan"),
-    State("noise", Mask, "Points far from their neighbours: they mark their voxel occupied but cast no ray"),
+    State(
+        "noise",
+        Mask,
+        "Points far from their neighbours: they mark their voxel occupied but cast no ray",
+    ),
 )
 
 
@@ -138,27 +169,36 @@ class OctoMap:
         "octomap", "OctoMap", "Hornung et al., Autonomous Robots 2013", REASONS[:4], STATES[:3]
     )
     Params: ClassVar[type[Any]] = OctoMapParams
-    _alone = True  # each voxel is judged by its own rays; ground and noise are found in the whole scan
+    _alone = (
+        True  # each voxel is judged by its own rays; ground and noise are found in the whole scan
+    )
 
     def __init__(self, params: Any) -> None:
         self.params = params
 
     def begin(self, context: Context) -> None:
         """Allocate the map where points will lie."""
-        self._seed, self._probe = context.seed, context.probe
+        self._seed = context.seed
+        self._probe = context.probe
         self._grid = BlockGrid(context.extent, self.params.resolution)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
         self._log_odds = self._grid.per_block(np.zeros((rows, VOXELS), np.float32))
-        self._ever = self._grid.per_block(
-            np.zeros((rows, 16), np.int64)
-        )  # voxels crossed or hit by any scan so far; bits as in Marks
-        probabilities = (self.params.prob_miss, self.params.prob_hit, self.params.clamp_min, self.params.clamp_max)
+        # voxels crossed or hit by any scan so far; bits as in Marks
+        self._ever = self._grid.per_block(np.zeros((rows, 16), np.int64))
+        probabilities = (
+            self.params.prob_miss,
+            self.params.prob_hit,
+            self.params.clamp_min,
+            self.params.clamp_max,
+        )
         self._logits = tuple(np.float32(logit(p)) for p in probabilities)
         self._ground: dict[int, U8] = {}  # by scan index: the mask of its ground points, packed
         self._noise: dict[int, U8] = {}
 
     def observe(self, scan: Scan) -> None:
-        """Mark the voxels that the scan's rays cross and hit, then update each marked voxel once."""
+        """Mark the voxels that the scan's rays cross and hit, then update each marked
+        voxel once.
+        """
         noise = self._find_noise(scan)
         ground = self._find_ground(scan, ~noise)
         marks = self._grid.mark(scan, casts=self._casts(noise, ground), hits=~ground)
@@ -172,7 +212,8 @@ class OctoMap:
 
         The reason of noise points that are kept is always ``NOISE``.
         """
-        voxels, ground = self._grid.locate(scan.points), _unpack(self._ground, scan)
+        voxels = self._grid.locate(scan.points)
+        ground = _unpack(self._ground, scan)
         dynamic = (self._log_odds.ravel()[voxels] < 0) & ~ground
         reasons = np.where(read(self._ever, voxels), HIT, NEVER_CROSSED).astype(np.uint8)
         reasons[_unpack(self._noise, scan)] = NOISE
@@ -203,8 +244,15 @@ class OctoMap:
             )
         )
         limits = "clamp_min", "clamp_max"
-        total = Quantity("log-odds", log_odds, total=True, threshold=0.0, steps=steps, limits=limits)
-        return Evidence(voxels_around(asked.points, self.params.resolution), (total,), (rule,), alone=self._alone)
+        total = Quantity(
+            "log-odds", log_odds, total=True, threshold=0.0, steps=steps, limits=limits
+        )
+        return Evidence(
+            voxels_around(asked.points, self.params.resolution),
+            (total,),
+            (rule,),
+            alone=self._alone,
+        )
 
     def _exceptions(self, asked: Asked) -> tuple[Term, ...]:
         return ()
@@ -219,18 +267,28 @@ class OctoMap:
         return ~noise
 
     def _show(self, marks: Marks) -> None:
-        crossed, hit = marks.bits[:, :8], marks.bits[:, 8:]
+        crossed = marks.bits[:, :8]
+        hit = marks.bits[:, 8:]
         with_points = self._ever[marks.blocks, 8:]
-        shown = {"crossed": crossed & with_points, "hit": hit, "log_odds": (crossed | hit) & with_points}
+        shown = {
+            "crossed": crossed & with_points,
+            "hit": hit,
+            "log_odds": (crossed | hit) & with_points,
+        }
         for name, bits in shown.items():
             if self._probe.wants(name):
                 voxels = voxels_of(marks.blocks, bits)
                 values = self._log_odds.ravel()[voxels]
-                self._probe.emit(name, Voxels(self._grid.keys(voxels), self._grid.resolution, values))
+                self._probe.emit(
+                    name, Voxels(self._grid.keys(voxels), self._grid.resolution, values)
+                )
 
 
 class OctoMapG(OctoMap):
-    """OctoMap with ground estimation: ground points are static and do not mark their voxels occupied."""
+    """OctoMap with ground estimation.
+
+    Ground points are static and do not mark their voxels occupied.
+    """
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "octomap_g", "OctoMap w G", "Zhang et al., ITSC 2023", REASONS[:5], STATES[:5]
@@ -242,7 +300,9 @@ class OctoMapG(OctoMap):
         ground = np.zeros(len(scan), np.bool_)
         chosen = np.flatnonzero(among & np.isfinite(scan.points).all(1))
         random = np.random.default_rng((self._seed, scan.index))
-        near, plane = ground_plane(scan.points[chosen], self.params.ground_distance, self.params.ground_angle, random)
+        near, plane = ground_plane(
+            scan.points[chosen], self.params.ground_distance, self.params.ground_angle, random
+        )
         ground[chosen[near]] = True
         self._ground[scan.index] = np.packbits(ground)
         self._probe.emit("ground", Mask(ground))
@@ -258,9 +318,14 @@ class OctoMapG(OctoMap):
 
 
 class OctoMapGF(OctoMapG):
-    """OctoMap with ground estimation and noise filter: noise marks its voxels occupied, but casts no rays."""
+    """OctoMap with ground estimation and noise filter.
 
-    info: ClassVar[MethodInfo] = MethodInfo("octomap_gf", "OctoMap w GF", "Zhang et al., ITSC 2023", REASONS, STATES)
+    Noise marks its voxels occupied, but casts no rays.
+    """
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "octomap_gf", "OctoMap w GF", "Zhang et al., ITSC 2023", REASONS, STATES
+    )
     Params: ClassVar[type[Any]] = OctoMapGFParams
 
     def _find_noise(self, scan: Scan) -> Bool:

@@ -1,4 +1,7 @@
-"""Polar bins around a sensor and the heights that points span in them: the pseudo occupancy (R-POD) of ERASOR."""
+"""Polar bins around a sensor and the heights that points span in them.
+
+The pseudo occupancy (R-POD) of ERASOR.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,9 @@ class PolarBins:
     low: float
     high: float
 
-    def locate(self, points: F32, foot: F64, spans: I64 | None = None, gone: Bool | None = None) -> tuple[I32, I32]:
+    def locate(
+        self, points: F32, foot: F64, spans: I64 | None = None, gone: Bool | None = None
+    ) -> tuple[I32, I32]:
         """Find the points within range and their bins.
 
         Args:
@@ -55,13 +60,18 @@ class PolarBins:
         """The height that the points found by ``locate`` span in each bin.
 
         Returns:
-            heights: (rings * sectors,) float64, metres: highest minus lowest point; NaN without points.
+            heights: (rings * sectors,) float64, metres: highest minus lowest point; NaN without
+                points.
             counts: (rings * sectors,) int64: number of points.
         """
         n = self.rings * self.sectors
-        heights, counts = kernels.polar.heights(kernels.as_readonly(points, np.float32), rows, bins, n)
+        heights, counts = kernels.polar.heights(
+            kernels.as_readonly(points, np.float32), rows, bins, n
+        )
         return heights, counts
 
     def grid(self, values: NDArray[np.floating]) -> PolarGrid:
         """One value per bin, (rings * sectors,), as a state to show."""
-        return PolarGrid(values.reshape(self.rings, self.sectors).astype(np.float32), self.max_range)
+        return PolarGrid(
+            values.reshape(self.rings, self.sectors).astype(np.float32), self.max_range
+        )

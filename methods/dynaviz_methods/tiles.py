@@ -20,8 +20,8 @@ def thinned(points: F32, size: float) -> tuple[F32, I32]:
 
     Returns:
         centroids: (V, 3) float32, metres: centroid of the points in each voxel.
-        voxels: (N,) int32: row of the centroid of each point; -1 for points that are not finite, or more than a million
-            voxels from the world's origin.
+        voxels: (N,) int32: row of the centroid of each point; -1 for points that are not finite, or
+            more than a million voxels from the world's origin.
     """
     points = kernels.as_readonly(points, np.float32)
     if size > 0:
@@ -43,13 +43,19 @@ def laid_out(points: F32, voxels: I32) -> tuple[Tiles, F32, I32]:
         points: (V, 3) float32, metres, world frame, tile by tile.
         rows: (N,) int32: the row of each raw point's map point after sorting; -1 for none.
     """
-    of_point = np.clip(np.floor(points[:, :2] / np.float32(TILE)), -FARTHEST, FARTHEST).astype(np.int64)
+    of_point = np.clip(np.floor(points[:, :2] / np.float32(TILE)), -FARTHEST, FARTHEST).astype(
+        np.int64
+    )
     keys = (of_point[:, 0] << 32) + of_point[:, 1]
     order = np.argsort(keys, kind="stable")
     rank = np.full(len(points) + 1, np.int32(-1))  # the last entry is for -1
     rank[order] = np.arange(len(points), dtype=np.int32)
     points = points[order]
-    return Tiles(points, np.flatnonzero(np.diff(keys[order], prepend=np.iinfo(np.int64).min))), points, rank[voxels]
+    return (
+        Tiles(points, np.flatnonzero(np.diff(keys[order], prepend=np.iinfo(np.int64).min))),
+        points,
+        rank[voxels],
+    )
 
 
 class Tiles:
@@ -66,20 +72,27 @@ class Tiles:
         self._extend(points, starts)
 
     def spans(self, centre: F64, reach: float) -> I64:
-        """(S, 2) int64: rows [first, end) of the tiles within a horizontal distance ``reach`` of a centre, metres."""
+        """(S, 2) int64: rows [first, end) of the tiles within a horizontal distance ``reach`` of a
+        centre, metres.
+        """
         distance = np.maximum(np.maximum(self._low - centre[:2], centre[:2] - self._high), 0)
         near = np.concatenate([[False], (distance**2).sum(1) < reach**2, [False]])
         borders = np.flatnonzero(near[1:] != near[:-1])  # consecutive tiles form one span
         return self._ends[borders].reshape(-1, 2)
 
     def append(self, points: F32) -> None:
-        """Register points after the last row as one tile, regardless of their extent; meant for few points."""
+        """Register points after the last row as one tile, regardless of their extent.
+
+        Meant for few points.
+        """
         self._extend(points, np.zeros(min(len(points), 1), np.int64))
 
     def _extend(self, points: F32, starts: I64) -> None:
         """Register points after the last row; their tiles begin at ``starts``."""
         if not len(points):
             return
-        self._ends = np.concatenate([self._ends, self._ends[-1] + np.append(starts[1:], len(points))])
+        self._ends = np.concatenate(
+            [self._ends, self._ends[-1] + np.append(starts[1:], len(points))]
+        )
         self._low = np.concatenate([self._low, np.minimum.reduceat(points[:, :2], starts)])
         self._high = np.concatenate([self._high, np.maximum.reduceat(points[:, :2], starts)])

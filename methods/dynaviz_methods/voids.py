@@ -19,7 +19,8 @@ class VoidMarks:
 
     Attributes:
         blocks: (B,) int32, block numbers, without duplicates.
-        hit, observed, void: (B, 8) int64, one bit per voxel: bit v of word w is voxel 64 w + v of the block.
+        hit, observed, void: (B, 8) int64, one bit per voxel: bit v of word w is voxel 64 w + v of
+            the block.
     """
 
     blocks: I32
@@ -40,12 +41,17 @@ class VoidGrid(BlockGrid):
 
     _OF_WORD = 2  # observed and hit voxels, next to each other
 
-    def __init__(self, extent: Extent, resolution: float, hit_margin: float, unknown_margin: int) -> None:
-        # The largest distance from a point to a voxel that it hits, or that decides whether its own voxel is void.
+    def __init__(
+        self, extent: Extent, resolution: float, hit_margin: float, unknown_margin: int
+    ) -> None:
+        # The largest distance from a point to a voxel that it hits, or that decides whether its own
+        # voxel is void.
         around = max(hit_margin, unknown_margin * resolution) + resolution
         super().__init__(extent.widened(around), resolution)
-        self._hit_margin, self._unknown_margin = hit_margin * self._per_metre, unknown_margin
-        # Scratch memory, cleared after each scan: whether a block is hit, its hit voxels, and its row in the marks.
+        self._hit_margin = hit_margin * self._per_metre
+        self._unknown_margin = unknown_margin
+        # Scratch memory, cleared after each scan: whether a block is hit, its hit voxels, and its
+        # row in the marks.
         self._struck = np.zeros(len(self) + 1, np.bool_)
         self._hits = np.zeros((len(self) + 1, 8), np.int64)
         self._rows = np.zeros(len(self) + 1, np.int32)
@@ -59,17 +65,22 @@ class VoidGrid(BlockGrid):
             integrated: (N,) bool, points to integrate; each must have a voxel.
         """
         goals, starts, origins = self._rays(scan, voxels, integrated)
-        place, scratch = (self._blocks, *self._place), self._scratch
+        place = (self._blocks, *self._place)
+        scratch = self._scratch
         kernels.void_rays.hit(goals, starts, origins, self._hit_margin, *place, *scratch)
         struck, bits = kernels.raycast.collect(*scratch)
-        self._struck[struck], self._hits[struck] = True, bits[:, 8:]
-        hits, near = (struck, self._struck, self._hits), self._addresses(origins)
+        self._struck[struck] = True
+        self._hits[struck] = bits[:, 8:]
+        hits = (struck, self._struck, self._hits)
+        near = self._addresses(origins)
         rays = goals, starts, origins, self._unknown_margin
         kernels.void_rays.observe(*rays, *hits, *place, *scratch, self._words, near[0], near[2])
         marks = self._collected(near)
-        blocks, observed = marks.blocks, marks.bits[:, :8]
+        blocks = marks.blocks
+        observed = marks.bits[:, :8]
         hit = self._hits[blocks]
-        self._struck[struck], self._hits[struck] = False, 0
+        self._struck[struck] = False
+        self._hits[struck] = 0
 
         sides = kernels.clearance.adjacent(blocks, self._rows, *place)
         unknown = np.full((len(blocks) + 1, 8), ~np.uint64(0))  # like all voxels of absent blocks
@@ -87,8 +98,17 @@ class VoidGrid(BlockGrid):
         """
         if len(scan.origins) == 1:
             goals = kernels.voids.distinct(voxels, integrated, self._hits)
-            return kernels.as_readonly(goals, np.int64), np.zeros(len(goals), np.int64), scan.origins * self._per_metre
+            return (
+                kernels.as_readonly(goals, np.int64),
+                np.zeros(len(goals), np.int64),
+                scan.origins * self._per_metre,
+            )
         places, which = np.unique(scan.origins, axis=0, return_inverse=True)
         rays = np.unique(voxels[integrated] * len(places) + which.ravel()[integrated])
-        goals, starts = rays // len(places), rays % len(places)
-        return kernels.as_readonly(goals, np.int64), kernels.as_readonly(starts, np.int64), places * self._per_metre
+        goals = rays // len(places)
+        starts = rays % len(places)
+        return (
+            kernels.as_readonly(goals, np.int64),
+            kernels.as_readonly(starts, np.int64),
+            places * self._per_metre,
+        )

@@ -16,7 +16,10 @@ from dynaviz.contracts import registry
 def rooms(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Two sequences. Tests must not change them."""
     folder = tmp_path_factory.mktemp("rooms")
-    return [write_room(folder / name, frames=2, rays=800, seed=seed) for seed, name in enumerate(["one", "two"])]
+    return [
+        write_room(folder / name, frames=2, rays=800, seed=seed)
+        for seed, name in enumerate(["one", "two"])
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +43,11 @@ def in_process(toy: None, monkeypatch: pytest.MonkeyPatch) -> type[InProcessExec
     all_handles = registry.handles
 
     def handles(kind: str) -> list[registry.PluginHandle]:
-        return [handle for handle in all_handles(kind) if kind != "metrics" or handle.name == "confusion"]
+        return [
+            handle
+            for handle in all_handles(kind)
+            if kind != "metrics" or handle.name == "confusion"
+        ]
 
     monkeypatch.setattr(registry, "handles", handles)
     monkeypatch.setattr(bench_module, "LocalExecutor", InProcessExecutor)

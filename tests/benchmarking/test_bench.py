@@ -1,4 +1,6 @@
-"""Benches: which cells run, what happens to those that fail or die, and how sequences are combined."""
+"""Benches: which cells run, what happens to those that fail or die, and how sequences
+are combined.
+"""
 
 from __future__ import annotations
 
@@ -43,33 +45,54 @@ def shown(board: Leaderboard) -> str:
 
 
 def states(board: Leaderboard) -> dict[str, str]:
-    return {row.cell.path.as_posix(): "failed" if row.error else "kept" if row.kept else "ran" for row in board.rows}
+    return {
+        row.cell.path.as_posix(): "failed" if row.error else "kept" if row.kept else "ran"
+        for row in board.rows
+    }
 
 
 @pytest.fixture(scope="module")
-def mixed(toy: None, rooms: list[Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Leaderboard, Path]:
+def mixed(
+    toy: None, rooms: list[Path], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Leaderboard, Path]:
     """A real bench with two workers: cells that succeed, one that fails, and one that is killed."""
     out = tmp_path_factory.mktemp("mixed")
-    table = {"methods": ["beautymap", "toy"], "sequences": [str(rooms[0])], "record": "scores", "workers": 2}
+    table = {
+        "methods": ["beautymap", "toy"],
+        "sequences": [str(rooms[0])],
+        "record": "scores",
+        "workers": 2,
+    }
     return bench({**table, "grid": {"toy": {"act": ["raise", "die"]}}}, out), out
 
 
-def test_a_failed_or_killed_cell_is_a_row_and_the_others_continue(mixed: tuple[Leaderboard, Path]) -> None:
+def test_a_failed_or_killed_cell_is_a_row_and_the_others_continue(
+    mixed: tuple[Leaderboard, Path],
+) -> None:
     board, out = mixed
     assert list(states(board).values()) == ["ran", "ran", "failed", "failed"]
     errors = {row.cell.parameter_set.variant: row.error for row in board.failed}
     assert errors["act=raise"] == "ValueError: this method cannot"
     assert "SIGKILL" in errors["act=die"]
     facts = json.loads((out / "one/toy-act=raise/error.json").read_text())
-    assert facts == {"method": "toy", "sequence": "one", "variant": "act=raise", "error": errors["act=raise"]}
+    assert facts == {
+        "method": "toy",
+        "sequence": "one",
+        "variant": "act=raise",
+        "error": errors["act=raise"],
+    }
     assert "Traceback" in (out / "one/toy-act=raise/error.log").read_text()
     text = shown(board)
     assert "toy-act=raise" in text
     assert "this method cannot" in text
 
 
-@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="elsewhere, each cell has its own process")
-def test_cells_share_a_process_but_not_its_peak_memory(toy: None, rooms: list[Path], tmp_path: Path) -> None:
+@pytest.mark.skipif(
+    not Path("/proc/self/clear_refs").exists(), reason="elsewhere, each cell has its own process"
+)
+def test_cells_share_a_process_but_not_its_peak_memory(
+    toy: None, rooms: list[Path], tmp_path: Path
+) -> None:
     gates = [tmp_path / "first", tmp_path / "last"]
     for gate in gates:
         gate.touch()
@@ -104,7 +127,14 @@ def test_a_sequence_is_read_once_for_its_cells(
 def test_a_cell_has_all_files_of_a_run(mixed: tuple[Leaderboard, Path]) -> None:
     board, out = mixed
     files = {path.name for path in (out / "one/toy").iterdir()}
-    assert files == {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
+    assert files == {
+        "run.rrd",
+        "result.json",
+        "labels.npz",
+        "static_map.pcd",
+        "dynamic_points.pcd",
+        "config.toml",
+    }
     assert not [path for path in (out / "one/toy-act=die").iterdir() if path.name == "result.json"]
     result = Result.load(out / "one/toy/result.json")
     assert (result.variant, result.record) == ("", "scores")
@@ -126,7 +156,9 @@ def test_the_command_of_a_cell_gives_the_same_labels(
 def test_labels_do_not_depend_on_the_workers_and_timing_has_all_cores(
     mixed: tuple[Leaderboard, Path], rooms: list[Path], tmp_path: Path
 ) -> None:
-    (timed,) = bench({"methods": ["beautymap"], "sequences": [str(rooms[0])], "timing": True}, tmp_path).results
+    (timed,) = bench(
+        {"methods": ["beautymap"], "sequences": [str(rooms[0])], "timing": True}, tmp_path
+    ).results
     shared = mixed[0].results[0]
     assert (timed.method, timed.labels_sha256) == (shared.method, shared.labels_sha256)
     assert timed.counts["dynamic_removed"] + timed.counts["static_removed"] > 0
@@ -136,11 +168,29 @@ def test_labels_do_not_depend_on_the_workers_and_timing_has_all_cores(
     assert not timed.instrumented
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
-def test_an_interrupted_bench_resumes(toy: None, rooms: list[Path], tmp_path: Path, end: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    "end", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
+)
+def test_an_interrupted_bench_resumes(
+    toy: None, rooms: list[Path], tmp_path: Path, end: signal.Signals
+) -> None:
     out, gate = tmp_path / "out", tmp_path / "gate"
-    typed = ["bench", "-m", "toy", "-s", rooms[0], "-o", out, "--record", "none", "--grid", f"toy.act=wait:{gate}"]
-    begun = subprocess.Popen([*MAIN, *map(str, typed)], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    typed = [
+        "bench",
+        "-m",
+        "toy",
+        "-s",
+        rooms[0],
+        "-o",
+        out,
+        "--record",
+        "none",
+        "--grid",
+        f"toy.act=wait:{gate}",
+    ]
+    begun = subprocess.Popen(
+        [*MAIN, *map(str, typed)], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    )
     pid, _ = waiting_process(gate)
     begun.send_signal(end)
     _, err = begun.communicate()
@@ -159,8 +209,13 @@ def test_an_interrupted_bench_resumes(toy: None, rooms: list[Path], tmp_path: Pa
     assert [path.stat().st_mtime_ns for path in done] == before
 
 
-def test_only_what_changed_runs_again(in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path) -> None:
-    one, two = (write_room(tmp_path / "data" / name, frames=2, rays=300, seed=len(name)) for name in ("one", "three"))
+def test_only_what_changed_runs_again(
+    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
+) -> None:
+    one, two = (
+        write_room(tmp_path / "data" / name, frames=2, rays=300, seed=len(name))
+        for name in ("one", "three")
+    )
     table = {**NONE, "sequences": [str(one), str(two)], "grid": {"toy": {"height": [0.3]}}}
     out = tmp_path / "out"
     assert set(states(bench(table, out)).values()) == {"ran"}
@@ -214,7 +269,8 @@ def test_totals_add_the_counts_of_sequences(
 ) -> None:
     few = write_room(tmp_path / "few", frames=1, rays=50)
     board = bench(
-        {**NONE, "sequences": [str(rooms[0]), str(few)], "grid": {"toy": {"act": ["raise"]}}}, tmp_path / "out"
+        {**NONE, "sequences": [str(rooms[0]), str(few)], "grid": {"toy": {"act": ["raise"]}}},
+        tmp_path / "out",
     )
     (total,) = board.totals()  # the variant that fails has none
     kept = removed = 0
@@ -237,22 +293,35 @@ def test_totals_add_the_counts_of_sequences(
 def test_runtimes_combine_over_all_frames() -> None:
     frames = [np.array([0.1, 0.3, 0.2]), np.array([1.0, 2.0])]
     parts = [
-        Result("m", {}, SequenceInfo(str(k)), Sections(counts={"static_kept": 1}), Runtime(f.mean(), f.std(), len(f)))
+        Result(
+            "m",
+            {},
+            SequenceInfo(str(k)),
+            Sections(counts={"static_kept": 1}),
+            Runtime(f.mean(), f.std(), len(f)),
+        )
         for k, f in enumerate(frames)
     ]
     total, whole = combined(parts).runtime, np.concatenate(frames)
-    assert (total.mean_s, total.std_s, total.frames) == pytest.approx((whole.mean(), whole.std(), 5))
+    assert (total.mean_s, total.std_s, total.frames) == pytest.approx(
+        (whole.mean(), whole.std(), 5)
+    )
 
 
 def test_unreadable_data_are_rows_but_a_missing_sequence_is_an_error(
     in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
 ) -> None:
     far = write_room(tmp_path / "far", frames=2, rays=300)
-    write_pcd(far / "pcd/000011.pcd", dict.fromkeys("xyz", np.full(300, 1e7, np.float32)), np.eye(4))
+    write_pcd(
+        far / "pcd/000011.pcd", dict.fromkeys("xyz", np.full(300, 1e7, np.float32)), np.eye(4)
+    )
     with pytest.raises(DataError, match="absent"):
         bench({**NONE, "sequences": [str(rooms[0]), str(tmp_path / "absent")]}, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-    board = bench({**NONE, "sequences": [{"path": str(rooms[0]), "frames": "0:1"}, str(far)]}, tmp_path / "out")
+    board = bench(
+        {**NONE, "sequences": [{"path": str(rooms[0]), "frames": "0:1"}, str(far)]},
+        tmp_path / "out",
+    )
     assert list(states(board).values()) == ["ran", "failed"]
     assert "km from the world's origin" in board.failed[0].error
     assert not board.totals()
@@ -267,7 +336,9 @@ def test_scenes_are_simulated_once(
         simulated.append((scene, frames, seed))
         write_room(out, frames=1, rays=99, seed=seed)
         facts = {"preset": scene, "frames": frames, "seed": seed, "generator": writing.VERSION}
-        (out / "sequence.toml").write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in facts.items()))
+        (out / "sequence.toml").write_text(
+            "".join(f"{key} = {json.dumps(value)}\n" for key, value in facts.items())
+        )
 
     monkeypatch.setattr(writing, "simulate", simulate)
     table = {**NONE, "sequences": ["simulate:hall_vlp16:1"]}
@@ -292,11 +363,15 @@ def test_a_timed_runtime_needs_all_cores_and_no_recording(
         (Runtime(threads=999), False, "threads is 999"),
         (Runtime(threads=os.cpu_count()), True, "states recorded"),
     ):
-        problem = difference(timed, replace(row.result, runtime=runtime, instrumented=instrumented), row.folder)
+        problem = difference(
+            timed, replace(row.result, runtime=runtime, instrumented=instrumented), row.folder
+        )
         assert problem is None if expected is None else expected in str(problem)
 
 
 def test_a_folder_that_cannot_be_created_is_named(rooms: list[Path], tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(DataError, match=r"file/bench: cannot be written .* choose another folder with -o"):
+    with pytest.raises(
+        DataError, match=r"file/bench: cannot be written .* choose another folder with -o"
+    ):
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path / "file/bench")

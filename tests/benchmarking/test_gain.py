@@ -1,4 +1,7 @@
-"""Whether a gain is more than chance: drawn movers, the average over movers, and the floor of SA."""
+"""Whether a gain is more than chance.
+
+Drawn movers, the average over movers, and the floor of SA.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,9 @@ from dynaviz.benchmarking.gain import gain
 def result(movers, static=(1000, 0), breakdown=True):
     """A result with these numbers of (points, removed) for each mover."""
     rows = [
-        SimpleNamespace(class_=1, instance=k, dynamic_removed=removed, dynamic_kept=points - removed)
+        SimpleNamespace(
+            class_=1, instance=k, dynamic_removed=removed, dynamic_kept=points - removed
+        )
         for k, (points, removed) in enumerate(movers)
     ]
     points, removed = (sum(column) for column in zip(*movers, strict=True))
@@ -28,7 +33,9 @@ def test_a_gain_on_every_mover_is_proven():
     assert (found.aa, found.low, found.high, found.movers) == pytest.approx((10, 10, 10, 10))
     assert found.sa == 0
     assert found.doubts == []
-    assert str(found).startswith("AA +10.00 points on other implants, 95 % interval +10.00 to +10.00")
+    assert str(found).startswith(
+        "AA +10.00 points on other implants, 95 % interval +10.00 to +10.00"
+    )
 
 
 def test_a_gain_that_depends_on_one_mover_is_not():
@@ -50,7 +57,10 @@ def test_a_gain_that_costs_static_points_is_not():
 
 
 def test_without_objects_a_sequence_is_one_mover():
-    before, after = result([(100, 36), (50, 10)], breakdown=False), result([(100, 49), (50, 30)], breakdown=False)
+    before, after = (
+        result([(100, 36), (50, 10)], breakdown=False),
+        result([(100, 49), (50, 30)], breakdown=False),
+    )
     found = gain([before], [after])
     assert found.low == found.high == pytest.approx(found.aa)
     assert found.movers == pytest.approx(found.aa)

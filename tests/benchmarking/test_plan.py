@@ -29,9 +29,16 @@ def test_the_example_explains_every_key() -> None:
 
 def test_paths_in_a_file_are_relative_to_it(tmp_path: Path) -> None:
     file = tmp_path / "bench.toml"
-    file.write_text('methods = ["octomap"]\nsequences = ["a/b", "semantickitti:c", "/d", "simulate:demo:9"]\n')
+    file.write_text(
+        'methods = ["octomap"]\nsequences = ["a/b", "semantickitti:c", "/d", "simulate:demo:9"]\n'
+    )
     sources = plan_of(read(file)).sources
-    assert [source.path for source in sources] == [f"{tmp_path}/a/b", f"semantickitti:{tmp_path}/c", "/d", ""]
+    assert [source.path for source in sources] == [
+        f"{tmp_path}/a/b",
+        f"semantickitti:{tmp_path}/c",
+        "/d",
+        "",
+    ]
     assert [source.name for source in sources] == ["b", "c", "d", "demo-9"]
 
 
@@ -48,12 +55,16 @@ def test_pose_files_are_relative_to_the_file_but_topics_are_not(tmp_path: Path) 
     assert (b.poses, b.points_in, b.deskew) == ("/odom", None, False)
 
 
-@pytest.mark.parametrize("name", ["nuscenes/scene-0061", "training/0012", "drive.bag#/topic", "drive.bag"])
+@pytest.mark.parametrize(
+    "name", ["nuscenes/scene-0061", "training/0012", "drive.bag#/topic", "drive.bag"]
+)
 def test_a_held_out_sequence_may_be_part_of_a_data_set(tmp_path: Path, name: str) -> None:
     table = {"methods": ["octomap"], "sequences": [HALL], "search": {"kind": "bayes", "trials": 1}}
     table["search"]["ranges"] = {"octomap": {"resolution": "0.1:0.2"}}
     path = str(tmp_path / name)
-    with pytest.raises(UsageError, match="neither a sequence nor the name of one in this bench: hall_vlp16"):
+    with pytest.raises(
+        UsageError, match="neither a sequence nor the name of one in this bench: hall_vlp16"
+    ):
         plan_of({**table, "holdout": [path]})
     for folder in ("nuscenes/v1.0-mini", "training/oxts", "training/velodyne/0012"):
         (tmp_path / folder).mkdir(parents=True)
@@ -64,7 +75,11 @@ def test_a_held_out_sequence_may_be_part_of_a_data_set(tmp_path: Path, name: str
 
 def test_a_sequence_of_the_bench_can_be_held_out_by_its_path(tmp_path: Path) -> None:
     table = {"methods": ["octomap"], "sequences": [HALL, str(tmp_path / "a")]}
-    table["search"] = {"kind": "bayes", "trials": 1, "ranges": {"octomap": {"resolution": "0.1:0.2"}}}
+    table["search"] = {
+        "kind": "bayes",
+        "trials": 1,
+        "ranges": {"octomap": {"resolution": "0.1:0.2"}},
+    }
     plan = plan_of({**table, "holdout": [str(tmp_path / "a")]})
     assert (len(plan.sources), plan.holdout) == (2, {"a"})
 
@@ -75,17 +90,29 @@ def test_methods_variants_and_grids_become_sets() -> None:
         "sequences": ["simulate:demo"],
         "variants": [
             {"method": "octomap", "preset": "av2"},
-            {"method": "removert", "name": "few", "set": {"resolutions": [2.5]}, "online": True, "seed": 7},
+            {
+                "method": "removert",
+                "name": "few",
+                "set": {"resolutions": [2.5]},
+                "online": True,
+                "seed": 7,
+            },
         ],
         "grid": {"octomap_g": {"resolution": [0.1, 0.2], "cast_ground_rays": [True, False]}},
     }
-    named = {(parameter_set.method, parameter_set.variant): parameter_set for parameter_set in plan_of(table).sets}
+    named = {
+        (parameter_set.method, parameter_set.variant): parameter_set
+        for parameter_set in plan_of(table).sets
+    }
     assert list(named)[:3] == [("octomap", ""), ("octomap", "av2"), ("removert", "few")]
     assert named["octomap", "av2"].parameters["resolution"] == 0.2
     few = named["removert", "few"]
     assert (few.parameters["resolutions"], few.online, few.seed) == ((2.5,), True, 7)
     assert len(named) == 7
-    assert named["octomap_g", "cast_ground_rays=false,resolution=0.1"].parameters["cast_ground_rays"] is False
+    assert (
+        named["octomap_g", "cast_ground_rays=false,resolution=0.1"].parameters["cast_ground_rays"]
+        is False
+    )
 
 
 def test_all_methods_run_by_default() -> None:
@@ -107,23 +134,41 @@ def test_a_broken_method_is_skipped_by_default(broken_plugins: None) -> None:
         ({"methods": "octomap"}, "methods = 'octomap': give a value of type list"),
         ({"methods": ["octomapp"]}, "Did you mean 'octomap'"),
         ({"sequences": []}, "at least one sequence"),
-        ({"sequences": [{"path": "a", "frame": "0:3"}]}, "[[sequences]] 1: unknown key 'frame'. Did you mean 'frames'"),
+        (
+            {"sequences": [{"path": "a", "frame": "0:3"}]},
+            "[[sequences]] 1: unknown key 'frame'. Did you mean 'frames'",
+        ),
         ({"sequences": [{"name": "a"}]}, "either path or simulate"),
         ({"sequences": [{"simulate": "dmo"}]}, "Did you mean 'demo'"),
         ({"sequences": [{"simulate": "demo", "frames": "0:9"}]}, "give the number of frames"),
         ({"sequences": ["simulate:demo:few"]}, "simulate:SCENE"),
         ({"sequences": [{"path": "a", "sensor": "eye"}]}, "eye"),
         ({"sequences": [{"path": "a", "seed": 1}]}, "seed applies to a simulated scene"),
-        ({"sequences": [{"simulate": "demo", "poses": "a"}]}, "poses applies to a sequence with a path"),
+        (
+            {"sequences": [{"simulate": "demo", "poses": "a"}]},
+            "poses applies to a sequence with a path",
+        ),
         ({"sequences": [{"path": "a", "name": "../a"}]}, "not a valid folder name"),
         ({"sequences": [HALL, HALL]}, "two sequences have the name 'hall_vlp16'"),
-        ({"variants": [{"method": "octomap"}]}, "[[variants]] 1: give a method and at least one of"),
-        ({"variants": [{"method": "octomap", "set": {"resolutoin": 1}}]}, "[[variants]] 1: octomap has no parameter"),
+        (
+            {"variants": [{"method": "octomap"}]},
+            "[[variants]] 1: give a method and at least one of",
+        ),
+        (
+            {"variants": [{"method": "octomap", "set": {"resolutoin": 1}}]},
+            "[[variants]] 1: octomap has no parameter",
+        ),
         ({"variants": [{"method": "octomap", "online": 1}]}, "type bool"),
         ({"grid": {"octomap": {"resolution": 0.1}}}, "[grid.octomap]: give each parameter a list"),
-        ({"grid": {"octomap": {"resolution": [0.1, "x"]}}}, "[grid.octomap]: octomap.resolution = 'x'"),
+        (
+            {"grid": {"octomap": {"resolution": [0.1, "x"]}}},
+            "[grid.octomap]: octomap.resolution = 'x'",
+        ),
         ({"grid": {"octomap": {"resolution": [-1]}}}, "give a number above 0"),
-        ({"grid": {"octomap": {"resolution": [0.2, 0.2]}}}, "two variants have the name 'octomap-resolution=0.2'"),
+        (
+            {"grid": {"octomap": {"resolution": [0.2, 0.2]}}},
+            "two variants have the name 'octomap-resolution=0.2'",
+        ),
         ({"record": "eror"}, "record"),
         ({"workers": 0}, "at least 1"),
         ({"timing": True, "workers": 2}, "one cell at a time"),
@@ -131,10 +176,16 @@ def test_a_broken_method_is_skipped_by_default(broken_plugins: None) -> None:
         ({"holdout": ["nowhere"]}, "nowhere is neither a sequence"),
         ({"search": {"kind": "bayes"}}, "[search]: give trials"),
         ({"search": {"kind": "bays", "trials": 1}}, "Did you mean 'bayes'"),
-        ({"search": {"kind": "bayes", "trials": 1, "seed": -1, "ranges": {"octomap": {}}}}, "seed = -1: give a seed"),
-        ({"search": {"kind": "bayes", "trials": 1, "ranges": {"octomap": "0.1:0.2"}}}, "METHOD.PARAM"),
+        (
+            {"search": {"kind": "bayes", "trials": 1, "seed": -1, "ranges": {"octomap": {}}}},
+            "seed = -1: give a seed",
+        ),
+        (
+            {"search": {"kind": "bayes", "trials": 1, "ranges": {"octomap": "0.1:0.2"}}},
+            "METHOD.PARAM",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_mistake_is_reported_with_its_place(table: dict[str, object], expected: str) -> None:
     with pytest.raises(UsageError) as error:
         plan_of({"sequences": [HALL], **table})
@@ -158,7 +209,10 @@ def test_values_follow_toml() -> None:
 VALUES = st.dictionaries(
     st.sampled_from(["a", "b", "c"]),
     st.one_of(
-        st.integers(-9, 9), st.floats(allow_nan=False, allow_infinity=False), st.booleans(), st.text("aé /", max_size=3)
+        st.integers(-9, 9),
+        st.floats(allow_nan=False, allow_infinity=False),
+        st.booleans(),
+        st.text("aé /", max_size=3),
     ),
     min_size=1,
 )

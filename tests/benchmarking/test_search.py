@@ -21,7 +21,12 @@ def spec(kind: str = "bayes", trials: int = 6, **ranges: str) -> dict[str, objec
 
 
 def table(rooms: list[Path], **more: object) -> dict[str, object]:
-    return {"methods": ["toy"], "record": "none", "sequences": [str(room) for room in rooms], **more}
+    return {
+        "methods": ["toy"],
+        "record": "none",
+        "sequences": [str(room) for room in rooms],
+        **more,
+    }
 
 
 def tried(out: Path) -> list[str]:
@@ -38,7 +43,13 @@ def test_the_best_trial_is_found_and_its_file_can_be_used(
     assert len({row.folder for row in every}) == len(every) == 20
     assert {row.cell.parameter_set.variant for row in board.rows} == {"", found.best.variant}
     by_variant = {
-        variant: combined([row.result for row in every if row.result and row.cell.parameter_set.variant == variant])
+        variant: combined(
+            [
+                row.result
+                for row in every
+                if row.result and row.cell.parameter_set.variant == variant
+            ]
+        )
         for variant in {row.cell.parameter_set.variant for row in every}
     }
     assert len(by_variant) == 10
@@ -69,11 +80,15 @@ def test_a_best_set_that_is_also_in_the_grid_counts_once(
     alone = bench(table(rooms, grid=grid), tmp_path)
     assert [row.folder for row in both.rows] == [row.folder for row in alone.rows]
     assert [total.counts for total in both.totals()] == [total.counts for total in alone.totals()]
-    held = bench(table(rooms, grid=grid, search=spec(trials=1, height="1.0:1.0"), holdout=["two"]), tmp_path)
+    held = bench(
+        table(rooms, grid=grid, search=spec(trials=1, height="1.0:1.0"), holdout=["two"]), tmp_path
+    )
     assert len({row.folder for row in held.rows}) == len(held.rows) == 4
 
 
-def test_a_search_resumes(in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path) -> None:
+def test_a_search_resumes(
+    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
+) -> None:
     whole = bench(table(rooms[:1], search=spec(trials=12)), tmp_path / "whole")
     bench(table(rooms[:1], search=spec(trials=5)), tmp_path / "parts")
     first = tried(tmp_path / "parts")
@@ -86,7 +101,9 @@ def test_a_search_resumes(in_process: type[InProcessExecutor], rooms: list[Path]
 def test_integers_stay_integers_and_ranges_may_be_logarithmic(
     in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
 ) -> None:
-    board = bench(table(rooms[:1], search=spec("random", 5, steps="log:1:50", height="log:0.1:2")), tmp_path)
+    board = bench(
+        table(rooms[:1], search=spec("random", 5, steps="log:1:50", height="log:0.1:2")), tmp_path
+    )
     steps = [row.cell.parameter_set.parameters["steps"] for row in board.trials]
     assert all(isinstance(step, int) and 1 <= step <= 50 for step in steps)
     heights = [row.cell.parameter_set.parameters["height"] for row in board.trials]
@@ -94,7 +111,10 @@ def test_integers_stay_integers_and_ranges_may_be_logarithmic(
 
 
 def test_the_search_never_opens_held_out_sequences(
-    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    in_process: type[InProcessExecutor],
+    rooms: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     opened: list[tuple[str, int]] = []
     real = sources.open_source
@@ -105,7 +125,9 @@ def test_the_search_never_opens_held_out_sequences(
 
     monkeypatch.setattr(sources, "open_source", spy)
     board = bench(table(rooms[:1], holdout=[str(rooms[1])], search=spec(trials=4)), tmp_path / "a")
-    assert min(ran for name, ran in opened if name == "two") == 5, "before the defaults and all trials had run"
+    assert min(ran for name, ran in opened if name == "two") == 5, (
+        "before the defaults and all trials had run"
+    )
     assert min(ran for name, ran in opened if name == "one") == 0
     assert in_process.ran[5:] == ["two/toy", f"two/toy-{board.searches[0].best.variant}"]
     assert {row.cell.source.name for row in board.trials} == {"one"}
@@ -120,14 +142,17 @@ def test_held_out_sequences_do_not_affect_the_search(
     presets = []
     for held in (rooms[1], bad):
         board = bench(
-            table([rooms[0], held], holdout=["two"], search=spec(trials=3)), tmp_path / "out" / held.parent.name
+            table([rooms[0], held], holdout=["two"], search=spec(trials=3)),
+            tmp_path / "out" / held.parent.name,
         )
         presets.append(board.searches[0].preset.read_bytes())
     assert presets[0] == presets[1]
     assert [row.cell.source.name for row in board.failed] == ["two", "two"]
 
 
-def test_a_search_without_ground_truth_is_an_error(in_process: type[InProcessExecutor], tmp_path: Path) -> None:
+def test_a_search_without_ground_truth_is_an_error(
+    in_process: type[InProcessExecutor], tmp_path: Path
+) -> None:
     blind = write_room(tmp_path / "blind", frames=1, rays=100)
     (blind / "gt_cloud.pcd").unlink()
     with pytest.raises(DynavizError, match="AA is undefined for every parameter set"):
@@ -147,7 +172,12 @@ def test_a_search_without_ground_truth_is_an_error(in_process: type[InProcessExe
     ],
 )
 def test_an_invalid_range_is_reported_before_anything_runs(
-    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path, name: str, text: str, expected: str
+    in_process: type[InProcessExecutor],
+    rooms: list[Path],
+    tmp_path: Path,
+    name: str,
+    text: str,
+    expected: str,
 ) -> None:
     with pytest.raises(UsageError, match=expected):
         bench(table(rooms, search=spec(**{name: text})), tmp_path / "out")

@@ -1,4 +1,7 @@
-"""Every point of a source is in the account of the map: kept, removed, without a pose, not finite or outside."""
+"""Every point of a source is in the account of the map.
+
+Kept, removed, without a pose, not finite or outside.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,11 @@ def columns(xyz: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def bag(
-    folder: Path, kind: str = "ros1", posed: int = FRAMES, lidars: tuple[str, ...] = ("/points",), world: bool = False
+    folder: Path,
+    kind: str = "ros1",
+    posed: int = FRAMES,
+    lidars: tuple[str, ...] = ("/points",),
+    world: bool = False,
 ) -> Path:
     with BagWriter(folder / "drive", kind) as writer:
         for k in range(FRAMES):
@@ -48,12 +55,17 @@ def bag(
     return writer.path
 
 
-def folder(at_: Path, suffix: str = ".pcd", *, offset: Any = 0.0, world: bool = False, posed: int = FRAMES) -> Path:
+def folder(
+    at_: Path, suffix: str = ".pcd", *, offset: Any = 0.0, world: bool = False, posed: int = FRAMES
+) -> Path:
     at_.mkdir()
     for k, scan in enumerate(SCANS):
         xyz = scan.points + np.asarray(offset) if world else LOCAL[k]
         if suffix == ".pcd":
-            write_pcd(at_ / f"{k:06d}.pcd", columns(xyz) if not world else dict(zip("xyz", xyz.T, strict=True)))
+            write_pcd(
+                at_ / f"{k:06d}.pcd",
+                columns(xyz) if not world else dict(zip("xyz", xyz.T, strict=True)),
+            )
         elif suffix == ".npy":
             np.save(at_ / f"{k:06d}.npy", xyz)
         else:
@@ -75,10 +87,15 @@ def merged(at_: Path, suffix: str, offset: Any = 0.0) -> tuple[Path, Path]:
     with open_map(path, fields, np.asarray(offset) + np.zeros(3)) as append:
         for k, scan in enumerate(SCANS):
             seconds = START / 1e9 + 0.1 * k + np.linspace(0.001, 0.09, POINTS)
-            append(scan.points + np.asarray(offset), {"gps_time": seconds, "intensity": np.arange(POINTS).astype("u2")})
+            append(
+                scan.points + np.asarray(offset),
+                {"gps_time": seconds, "intensity": np.arange(POINTS).astype("u2")},
+            )
     T = POSES[: FRAMES - 1].copy()
     T[:, :3, 3] += offset
-    return path, write_tum_poses(at_ / "t.tum", [START + k * 100_000_000 for k in range(FRAMES - 1)], T)
+    return path, write_tum_poses(
+        at_ / "t.tum", [START + k * 100_000_000 for k in range(FRAMES - 1)], T
+    )
 
 
 def arrays(nan: int = 0, empty: bool = False) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -96,7 +113,8 @@ SOURCES: dict[str, Callable[[Path], Made]] = {
     **{f"bag {kind}": lambda p, kind=kind: (bag(p, kind), {}, {}) for kind in KINDS},
     "bag with clouds after the poses": lambda p: (bag(p, posed=FRAMES - 2), {}, SHORT),
     "bag in the world, after the poses": lambda p: (
-        bag(p, posed=FRAMES - 2, world=True), {"points_in": "world", "poses": "/odom"}, {"unposed_kept": UNPOSED}),
+        bag(p, posed=FRAMES - 2, world=True), {"points_in": "world", "poses": "/odom"},
+        {"unposed_kept": UNPOSED}),
     "bag of two lidars": lambda p: (
         f"{bag(p, lidars=('/a', '/b'))}#/a,/b", {}, {"points": 2 * FRAMES * POINTS}),
     "folder pcd": lambda p: (folder(p / "s"), {}, {}),
@@ -104,9 +122,11 @@ SOURCES: dict[str, Callable[[Path], Made]] = {
     "folder laz": lambda p: (folder(p / "s", ".laz"), {}, {}),
     "folder with fewer poses": lambda p: (folder(p / "s", posed=FRAMES - 2), {}, SHORT),
     "folder in the world, with fewer poses": lambda p: (
-        folder(p / "s", world=True, posed=FRAMES - 2), {"points_in": "world"}, {"unposed_kept": UNPOSED}),
+        folder(p / "s", world=True, posed=FRAMES - 2), {"points_in": "world"},
+        {"unposed_kept": UNPOSED}),
     "folder in UTM": lambda p: (folder(p / "s", offset=UTM), {}, {}),
-    "folder in UTM, in the world": lambda p: (folder(p / "s", offset=UTM, world=True), {"points_in": "world"}, {}),
+    "folder in UTM, in the "
+    "world": lambda p: (folder(p / "s", offset=UTM, world=True), {"points_in": "world"}, {}),
     **{
         f"merged {suffix}": lambda p, suffix=suffix: (
             *with_poses(merged(p / "m", suffix, UTM)), {"unposed_kept": UNPOSED})
@@ -116,7 +136,8 @@ SOURCES: dict[str, Callable[[Path], Made]] = {
         *with_poses(merged(p / "m", ".laz"), drop_unposed=True), SHORT),
     "arrays": lambda p: (arrays(), {}, {}),
     "arrays with NaN": lambda p: (arrays(nan=40), {}, {"not_finite": 40}),
-    "arrays with an empty scan": lambda p: (arrays(empty=True), {}, {"points": (FRAMES - 1) * POINTS}),
+    "arrays with an empty "
+    "scan": lambda p: (arrays(empty=True), {}, {"points": (FRAMES - 1) * POINTS}),
     "region": lambda p: (arrays(), {"region": "-2,-2,2,2"}, {}),
     "voxels": lambda p: (arrays(), {"voxel_size": 0.5}, {}),
     "marked": lambda p: (arrays(nan=40), {"mark": True}, {"not_finite": 40}),
@@ -139,7 +160,13 @@ def test_the_account_adds_up(tmp_path: Path, kind: str) -> None:
     with np.errstate(invalid="ignore"):
         cleaned = dv.clean(source, out, method="octomap", record="none", threads=1, **options)
     account, xyz = cleaned.account, coordinates(read_fields(out))
-    for name, count in {**WHOLE, "not_finite": 0, "unposed_kept": 0, "unposed_left_out": 0, **expected}.items():
+    for name, count in {
+        **WHOLE,
+        "not_finite": 0,
+        "unposed_kept": 0,
+        "unposed_left_out": 0,
+        **expected,
+    }.items():
         assert getattr(account, name) == count, name
     assert added(account) == account.points
     marked = account.removed if options.get("mark") else 0
@@ -155,7 +182,9 @@ def test_the_account_adds_up(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "write", [write_raw_drive, write_odometry, write_semantickitti, write_nuscenes, write_log], ids=lambda f: f.__name__
+    "write",
+    [write_raw_drive, write_odometry, write_semantickitti, write_nuscenes, write_log],
+    ids=lambda f: f.__name__,
 )
 def test_data_sets(tmp_path: Path, write: Callable[[Path], Path | None]) -> None:
     """A few points per scan, so nothing needs to be removed."""
@@ -164,12 +193,20 @@ def test_data_sets(tmp_path: Path, write: Callable[[Path], Path | None]) -> None
     cleaned = dv.clean(sequence, tmp_path / "map.ply", method="octomap", record="none", threads=1)
     assert added(cleaned.account) == cleaned.account.points == sum(map(len, raw))
     assert len(read_fields(tmp_path / "map.ply")["x"]) == cleaned.account.kept
-    assert cleaned.account.not_finite == sum(int((~np.isfinite(points).all(1)).sum()) for points in raw)
+    assert cleaned.account.not_finite == sum(
+        int((~np.isfinite(points).all(1)).sum()) for points in raw
+    )
 
 
 def test_a_run_has_an_account_too(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="2 of 6 scans"):
-        result = dv.run("octomap", bag(tmp_path, posed=FRAMES - 2), out=tmp_path / "run", record="none", threads=1)
+        result = dv.run(
+            "octomap",
+            bag(tmp_path, posed=FRAMES - 2),
+            out=tmp_path / "run",
+            record="none",
+            threads=1,
+        )
     assert result.account is not None
     assert (result.account.points, result.account.unposed_left_out) == (FRAMES * POINTS, UNPOSED)
     assert added(result.account) == result.account.points
@@ -196,7 +233,9 @@ def test_marked_points_are_those_that_would_be_removed(tmp_path: Path) -> None:
         } == marked.removals.reasons
 
 
-def test_the_terminal_ends_with_the_account(run_command: Callable[..., tuple[int, str, str]], tmp_path: Path) -> None:
+def test_the_terminal_ends_with_the_account(
+    run_command: Callable[..., tuple[int, str, str]], tmp_path: Path
+) -> None:
     source = folder(tmp_path / "s", posed=FRAMES)
     words = ("-m", "octomap", "--record", "none", "--threads", 1, "--quiet")
     code, out, _ = run_command("clean", source, "-o", tmp_path / "map.pcd", *words)

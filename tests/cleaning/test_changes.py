@@ -27,9 +27,14 @@ GONE, NEW, HIDDEN = (np.array(at) for at in ([3.6, 2.2, 0.9], [3.6, -2.2, 1.4], 
 FRAMES = 10
 
 
-def drive(name: str, *standing: tuple[F64, F64], seed: int = 0, moved: F64 | None = None) -> InMemory:
+def drive(
+    name: str, *standing: tuple[F64, F64], seed: int = 0, moved: F64 | None = None
+) -> InMemory:
     """A drive through the hall, in which other things stand."""
-    scans = [dataclasses.replace(scan, labels=None) for scan in hall(FRAMES, seed=seed, standing=standing)]
+    scans = [
+        dataclasses.replace(scan, labels=None)
+        for scan in hall(FRAMES, seed=seed, standing=standing)
+    ]
     if moved is not None:
         scans = [scan.moved(moved) for scan in scans]
     return InMemory(scans, name, SENSOR)
@@ -37,7 +42,9 @@ def drive(name: str, *standing: tuple[F64, F64], seed: int = 0, moved: F64 | Non
 
 @pytest.fixture(scope="module")
 def both() -> Drives:
-    """On Tuesday, one box is gone, and a wall stands before the place of another one, which only Monday can see."""
+    """On Tuesday, one box is gone, and a wall stands before the place of another one, which only
+    Monday can see.
+    """
     monday = drive("monday", (GONE, SMALL), (HIDDEN, SMALL))
     return Drives.of([monday, drive("tuesday", (NEW, WALL), seed=1)])
 
@@ -60,7 +67,9 @@ def on(scan: Scan, box: F64, half: F64) -> Bool:
 
 def shares(cleaned: Any, both: Drives, frames: range, box: F64, half: F64) -> F64:
     """Share of the points on a box by reason."""
-    found = [codes[on(both[k], box, half)] for k, codes in enumerate(reasons(cleaned)) if k in frames]
+    found = [
+        codes[on(both[k], box, half)] for k, codes in enumerate(reasons(cleaned)) if k in frames
+    ]
     counts = np.bincount(np.concatenate(found), minlength=len(NAMES))
     assert counts.sum() > 100
     return counts / counts.sum()
@@ -104,7 +113,10 @@ def test_changes_are_listed_with_their_places_and_written(cleaned: Any, both: Dr
     assert "## What changed" in page
     assert "1. Appeared: " in page or "1. Disappeared: " in page
     assert (changes.folder / "run.rrd").is_file()
-    assert cleaned.to_dict()["changed"]["drives"]["monday"]["disappeared"] == changes.counts[0, DISAPPEARED]
+    assert (
+        cleaned.to_dict()["changed"]["drives"]["monday"]["disappeared"]
+        == changes.counts[0, DISAPPEARED]
+    )
 
 
 @pytest.mark.slow
@@ -118,26 +130,35 @@ def test_tiles_find_the_same_changes(cleaned: Any, both: Drives, tmp_path: Path)
 
 def test_drives_that_are_not_in_one_frame_are_refused(tmp_path: Path) -> None:
     beside = Drives.of([drive("monday"), drive("tuesday", seed=1, moved=np.array([0.0, 0.5, 0.0]))])
-    with pytest.raises(DataError, match=r"monday and tuesday: do not agree at .* of .* places.*0\.5. m.*Register both"):
+    with pytest.raises(
+        DataError,
+        match=r"monday and tuesday: do not agree at .* of .* places.*0\.5. m.*Register both",
+    ):
         dv.clean(beside, tmp_path / "clean.pcd", changed=True, record="none")
     far = Drives.of([drive("monday"), drive("tuesday", moved=np.array([500.0, 0.0, 0.0]))])
     with pytest.raises(DataError, match="pass no common place"):
         dv.clean(far, tmp_path / "clean.pcd", changed=True, record="none")
 
 
-def test_changes_need_two_drives(tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]) -> None:
+def test_changes_need_two_drives(
+    tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]
+) -> None:
     with pytest.raises(UsageError, match="compares two drives, not 1"):
         dv.clean(drive("monday"), tmp_path / "clean.pcd", changed=True)
     three = Drives.of([drive("monday")] * 3)
     with pytest.raises(UsageError, match="compares two drives, not 3"):
         dv.clean(three, tmp_path / "clean.pcd", changed=True)
     with pytest.raises(UsageError, match="frames of one drive only"):
-        dv.clean(Drives.of([drive("monday")] * 2), tmp_path / "clean.pcd", changed=True, frames="0:8")
+        dv.clean(
+            Drives.of([drive("monday")] * 2), tmp_path / "clean.pcd", changed=True, frames="0:8"
+        )
 
 
 def test_the_second_drive_begins_where_the_first_one_ends() -> None:
     scans = drive("monday").scans
-    drives = Drives.of([InMemory(scans[:3], "monday", SENSOR), InMemory(scans[3:], "tuesday", SENSOR)])
+    drives = Drives.of(
+        [InMemory(scans[:3], "monday", SENSOR), InMemory(scans[3:], "tuesday", SENSOR)]
+    )
     assert [len(Pair.of(drives).alone(which, drives)) for which in (0, 1)] == [3, FRAMES - 3]
     assert Pair.of(dv.open(drives, stride=2)).first == 2
 
@@ -160,4 +181,6 @@ def test_the_explorer_shows_the_changes(cleaned: Any) -> None:
         for code in np.unique(codes):
             point = explored.point(frame, int(np.flatnonzero(codes == code)[0]))
             assert point["answer"] == NAMES[code].replace("_", " ")
-            assert point["sentence"].startswith(f"{point['answer'].capitalize()} (no ground truth): ")
+            assert point["sentence"].startswith(
+                f"{point['answer'].capitalize()} (no ground truth): "
+            )

@@ -38,7 +38,10 @@ def write_scans(folder: Path, *, poses: bool = True, offset: np.ndarray | float 
         local = geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points)
         numbers = np.arange(len(local))
         fields = {axis: local[:, k] for k, axis in enumerate("xyz")}
-        fields |= {"ring": (numbers % 16).astype(np.uint16), "intensity": (numbers / 7).astype(np.float32)}
+        fields |= {
+            "ring": (numbers % 16).astype(np.uint16),
+            "intensity": (numbers / 7).astype(np.float32),
+        }
         write_pcd(folder / f"{scan.index:06d}.pcd", fields)
     if poses:
         T = np.array([scan.T_world_sensor for scan in SCANS])
@@ -72,7 +75,9 @@ def odometry(monkeypatch: pytest.MonkeyPatch) -> type[TrueOdometry]:
     every = registry.handles
     target = f"{TrueOdometry.__module__}:TrueOdometry"
     handle = registry.PluginHandle("odometries", "small-gicp", target, "test", "1")
-    monkeypatch.setattr(registry, "handles", lambda kind: [handle] if kind == "odometries" else every(kind))
+    monkeypatch.setattr(
+        registry, "handles", lambda kind: [handle] if kind == "odometries" else every(kind)
+    )
     monkeypatch.setattr(registry.PluginHandle, "load", _load)
     TrueOdometry.calls = 0
     return TrueOdometry
@@ -90,7 +95,9 @@ def clean(source: Any, out: Path, **options: Any) -> Any:
 
 
 def test_the_map_has_the_kept_points_with_their_attributes(tmp_path: Path) -> None:
-    cleaned = clean(write_scans(tmp_path / "scans"), tmp_path / "map.npz", keep_dynamic=tmp_path / "removed.pcd")
+    cleaned = clean(
+        write_scans(tmp_path / "scans"), tmp_path / "map.npz", keep_dynamic=tmp_path / "removed.pcd"
+    )
     labels = cleaned.result.labels
     numbers = [np.arange(len(scan)) for scan in SCANS]
     for file, kept in ((tmp_path / "map.npz", True), (tmp_path / "removed.pcd", False)):
@@ -99,7 +106,9 @@ def test_the_map_has_the_kept_points_with_their_attributes(tmp_path: Path) -> No
         assert found["ring"].tobytes() == (chosen % 16).astype(np.uint16).tobytes()
         assert found["intensity"].tobytes() == (chosen / 7).astype(np.float32).tobytes()
     assert cleaned.maps[0].points == sum(len(scan) for scan in SCANS) - cleaned.removals.removed
-    np.testing.assert_array_equal(cleaned.result.static_map(), coordinates(read_fields(tmp_path / "map.npz")))
+    np.testing.assert_array_equal(
+        cleaned.result.static_map(), coordinates(read_fields(tmp_path / "map.npz"))
+    )
     assert 0 < cleaned.removals.removed < 600
 
 
@@ -112,14 +121,18 @@ def test_double_coordinates_stay_double(tmp_path: Path, suffix: str, points_in: 
     for scan in SCANS:
         T = scan.T_world_sensor
         placed.append(scan.points.astype(np.float64) + 1e-9)
-        xyz = placed[-1] if points_in == "world" else geometry.apply(geometry.inverse(T), placed[-1])
+        xyz = (
+            placed[-1] if points_in == "world" else geometry.apply(geometry.inverse(T), placed[-1])
+        )
         np.save(folder / f"{scan.index:06d}.npy", xyz)
     np.savetxt(folder / "poses.txt", [scan.T_world_sensor[:3].ravel() for scan in SCANS])
     cleaned = clean(folder, tmp_path / f"map{suffix}", points_in=points_in)
     found = read_fields(tmp_path / f"map{suffix}")
     assert found["x"].dtype == np.float64
     kept = np.concatenate([xyz[~cleaned.result.labels[k]] for k, xyz in enumerate(placed)])
-    np.testing.assert_allclose(coordinates(found), kept, rtol=0, atol=0 if points_in == "world" else 1e-14)
+    np.testing.assert_allclose(
+        coordinates(found), kept, rtol=0, atol=0 if points_in == "world" else 1e-14
+    )
     np.testing.assert_array_equal(coordinates(found), cleaned.result.static_map())
 
 
@@ -127,12 +140,22 @@ def test_the_summary_states_what_was_removed(tmp_path: Path) -> None:
     cleaned = clean(write_scans(tmp_path / "drive"), tmp_path / "map.ply")
     page = (tmp_path / "map_run/summary.md").read_text()
     assert page == str(cleaned)
-    assert page.startswith(f"# drive, cleaned with {METHOD}\n\nRemoved {cleaned.removals.removed:,} of 6,000 points (")
-    for part in ("with ring, intensity", "## Removed by reason", "| 0 to 10 m |", "## Look at these first"):
+    assert page.startswith(
+        f"# drive, cleaned with {METHOD}\n\nRemoved {cleaned.removals.removed:,} of 6,000 points ("
+    )
+    for part in (
+        "with ring, intensity",
+        "## Removed by reason",
+        "| 0 to 10 m |",
+        "## Look at these first",
+    ):
         assert part in page
     names = {path.name for path in (tmp_path / "map_run").iterdir()}
     assert names == {"summary.md", "labels.npz", "result.json", "config.toml", "trajectory.csv"}
-    assert dv.Result.load(tmp_path / "map_run/result.json").labels[2].tolist() == cleaned.result.labels[2].tolist()
+    assert (
+        dv.Result.load(tmp_path / "map_run/result.json").labels[2].tolist()
+        == cleaned.result.labels[2].tolist()
+    )
 
 
 def test_the_summary_lists_failures_with_ground_truth_and_clusters_without(tmp_path: Path) -> None:
@@ -141,11 +164,18 @@ def test_the_summary_lists_failures_with_ground_truth_and_clusters_without(tmp_p
     assert f"1. {first.sentence}" in str(cleaned).split("## Scores: SA ")[1]
     clusters = clean(room(FRAMES, 1500, labelled=False), tmp_path / "unknown.npz").result.clusters
     assert len(clusters) > 1
-    ranked = [msgspec.structs.replace(clusters[0], suspicion=s, points=n) for s, n in ((0.5, 9), (0.5, 30), (0.7, 2))]
+    ranked = [
+        msgspec.structs.replace(clusters[0], suspicion=s, points=n)
+        for s, n in ((0.5, 9), (0.5, 30), (0.7, 2))
+    ]
     removals = msgspec.structs.replace(cleaned.removals, clusters=tuple(ranked))
     sections = msgspec.structs.replace(cleaned.result.sections, failures=None, removals=removals)
     result = dataclasses.replace(cleaned.result, sections=sections)
-    assert [each.points for each in dataclasses.replace(cleaned, result=result).clusters] == [2, 30, 9]
+    assert [each.points for each in dataclasses.replace(cleaned, result=result).clusters] == [
+        2,
+        30,
+        9,
+    ]
 
 
 def test_far_from_zero_labels_are_the_same_and_the_map_is_far(tmp_path: Path) -> None:
@@ -172,13 +202,19 @@ def test_poses_are_estimated_once(tmp_path: Path, odometry: type[TrueOdometry]) 
     np.testing.assert_allclose(again[3].T_world_sensor[:3, 3], [0.6, 0, 0], atol=1e-12)
 
 
-def test_given_poses_can_be_replaced_by_estimated_ones(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
-    cleaned = clean(write_scans(tmp_path / "scans"), tmp_path / "map.pcd", poses="small-gicp", frames="0:3")
+def test_given_poses_can_be_replaced_by_estimated_ones(
+    tmp_path: Path, odometry: type[TrueOdometry]
+) -> None:
+    cleaned = clean(
+        write_scans(tmp_path / "scans"), tmp_path / "map.pcd", poses="small-gicp", frames="0:3"
+    )
     assert (cleaned.poses.frames, odometry.calls) == (3, 3)
     assert cleaned.result.sequence.frames == 3
 
 
-def test_poses_that_are_all_the_identity_count_as_none(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
+def test_poses_that_are_all_the_identity_count_as_none(
+    tmp_path: Path, odometry: type[TrueOdometry]
+) -> None:
     scans = write_scans(tmp_path / "scans", poses=False)
     for scan in scans.iterdir():
         write_pcd(scan, read_fields(scan), np.eye(4))
@@ -186,7 +222,9 @@ def test_poses_that_are_all_the_identity_count_as_none(tmp_path: Path, odometry:
     assert cleaned.poses.distance == pytest.approx(0.2 * (FRAMES - 1))
 
 
-def test_another_sequence_does_not_use_the_poses_of_the_first(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
+def test_another_sequence_does_not_use_the_poses_of_the_first(
+    tmp_path: Path, odometry: type[TrueOdometry]
+) -> None:
     estimate("small-gicp", room(frames=FRAMES), tmp_path, False)
     estimate("small-gicp", room(frames=FRAMES, seed=1), tmp_path, False)
     assert odometry.calls == 2 * FRAMES
@@ -212,7 +250,9 @@ def test_region_and_voxels_limit_the_map_only(tmp_path: Path) -> None:
 
 def test_a_region_without_points_is_an_error_before_the_run(tmp_path: Path) -> None:
     scans = write_scans(tmp_path / "scans", offset=FAR)
-    with pytest.raises(UsageError, match=r'region="-4,-3,4,3": contains no point of .*Give it in the coordinates'):
+    with pytest.raises(
+        UsageError, match=r'region="-4,-3,4,3": contains no point of .*Give it in the coordinates'
+    ):
         clean(scans, tmp_path / "map.pcd", region="-4,-3,4,3")
     assert not (tmp_path / "map.pcd").exists()
     assert not (tmp_path / "map_run").exists()
@@ -223,9 +263,24 @@ def test_a_region_without_points_is_an_error_before_the_run(tmp_path: Path) -> N
 def test_a_doubtful_map_ends_with_a_box_and_code_3(
     run_command: Command, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Points that are read in the wrong frame; and a share above the limit, which is lowered here."""
+    """Points that are read in the wrong frame.
+
+    And a share above the limit, which is lowered here.
+    """
     scans = write_scans(tmp_path / "drive")
-    words = ["clean", scans, "-o", tmp_path / "map.pcd", "-m", METHOD, "--record", "none", "--threads", 1, "--quiet"]
+    words = [
+        "clean",
+        scans,
+        "-o",
+        tmp_path / "map.pcd",
+        "-m",
+        METHOD,
+        "--record",
+        "none",
+        "--threads",
+        1,
+        "--quiet",
+    ]
     if kind == "poses":
         words += ["--points-in", "world"]
         expected = "clean.*--points-in world.*--points-in sensor"
@@ -239,7 +294,9 @@ def test_a_doubtful_map_ends_with_a_box_and_code_3(
     assert "check this map before you use it" in box
     assert re.search(f"Likeliest cause: .*Try: .*{expected}", box)
     page = (tmp_path / "map_run/summary.md").read_text()
-    assert page.startswith(f"# drive, cleaned with {METHOD}\n\n> **Check this map before you use it.**")
+    assert page.startswith(
+        f"# drive, cleaned with {METHOD}\n\n> **Check this map before you use it.**"
+    )
     code, out, err = run_command(*words, "--accept", "--json", "-")
     assert code == 0
     assert "check this map" not in err
@@ -269,7 +326,9 @@ def test_a_run_on_tiles_writes_a_file_for_each_and_an_index(tmp_path: Path) -> N
         assert len(xyz) == tile["points"]
         rows += zip(*xyz.T.tolist(), fields["ring"].tolist(), strict=True)
     assert len(index["tiles"]) > 1
-    assert sorted(rows) == sorted(zip(*coordinates(whole).T.tolist(), whole["ring"].tolist(), strict=True))
+    assert sorted(rows) == sorted(
+        zip(*coordinates(whole).T.tolist(), whole["ring"].tolist(), strict=True)
+    )
 
 
 def test_tiles_without_a_suffix_are_the_divided_map_of_autoware(tmp_path: Path) -> None:
@@ -281,13 +340,16 @@ def test_tiles_without_a_suffix_are_the_divided_map_of_autoware(tmp_path: Path) 
 
 def test_arrays_and_settings_from_python(tmp_path: Path) -> None:
     scans = [
-        (geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points), scan.T_world_sensor) for scan in SCANS
+        (geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points), scan.T_world_sensor)
+        for scan in SCANS
     ]
     result = dv.run(METHOD, scans, settings={"resolution": 0.3}, threads=1)
     assert result.parameters["resolution"] == 0.3
     assert [len(labels) for labels in result.labels] == [1500] * FRAMES
     assert sum(int(labels.sum()) for labels in result.labels) == 6000 - len(result.static_map())
-    with pytest.raises(UsageError, match=r"scan 1, points: \(3,\) of float64\. Give \(N, 3 or more\)"):
+    with pytest.raises(
+        UsageError, match=r"scan 1, points: \(3,\) of float64\. Give \(N, 3 or more\)"
+    ):
         dv.open([scans[0], (np.zeros(3), np.eye(4))])
 
 
@@ -302,7 +364,9 @@ def test_arrays_and_settings_from_python(tmp_path: Path) -> None:
         ("-o map --tiles 20m", "from 10 to 1000; or autoware"),
     ],
 )
-def test_mistakes_are_found_before_anything_is_read(run_command: Command, typed: str, message: str) -> None:
+def test_mistakes_are_found_before_anything_is_read(
+    run_command: Command, typed: str, message: str
+) -> None:
     code, _, err = run_command("clean", "absent", *typed.split())
     assert (code, err.count("\n")) == (2, 1)
     assert message in err
@@ -334,12 +398,17 @@ def in_sensor_frames() -> list[np.ndarray]:
 
 
 def test_arrays_without_poses_are_registered(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
-    given = clean(list(zip(in_sensor_frames(), (s.T_world_sensor for s in SCANS), strict=True)), tmp_path / "given.pcd")
+    given = clean(
+        list(zip(in_sensor_frames(), (s.T_world_sensor for s in SCANS), strict=True)),
+        tmp_path / "given.pcd",
+    )
     estimated = clean(in_sensor_frames(), tmp_path / "map.pcd")
     assert estimated.poses.distance == pytest.approx(0.2 * (FRAMES - 1))
     assert estimated.removals.removed == pytest.approx(given.removals.removed, rel=0.1)
     assert odometry.calls == FRAMES
-    with pytest.raises(NoPoses, match=r"arrays: have no poses\. Estimate them with poses=.small-gicp."):
+    with pytest.raises(
+        NoPoses, match=r"arrays: have no poses\. Estimate them with poses=.small-gicp."
+    ):
         dv.open(in_sensor_frames())
 
 

@@ -33,7 +33,9 @@ def times(seconds: float) -> np.ndarray:
 
 
 def survey(path: Path, version: str, point_format: int, after: float = 0.0) -> tuple[Path, Path]:
-    """A survey in UTM, with both kinds of coordinate systems and a record of another program, and its trajectory."""
+    """A survey in UTM, with both kinds of coordinate systems and a record of another program, and
+    its trajectory.
+    """
     header = laspy.LasHeader(version=version, point_format=point_format)
     header.scales, header.offsets = [0.001, 0.001, 0.0005], UTM.round(-2)
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
@@ -52,11 +54,17 @@ def survey(path: Path, version: str, point_format: int, after: float = 0.0) -> t
     seconds = np.concatenate([times(START / 1e9 + 0.1 * k) for k in range(len(SCANS))])
     las.gps_time = seconds - 1e9 - leap_offset(START / 1e9)
     numbers = np.arange(len(xyz))
-    las.intensity, las.classification, las.return_number = numbers % 65536, numbers % 20, 1 + numbers % 3
+    las.intensity, las.classification, las.return_number = (
+        numbers % 65536,
+        numbers % 20,
+        1 + numbers % 3,
+    )
     las.amplitude = (numbers % 5000) / 100
     las.normal = np.column_stack([numbers, numbers + 1, numbers + 2]).astype("f4")
     if version == "1.4":
-        las.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("somebody", 8, "more notes", b"x" * 70_000)])
+        las.evlrs = laspy.vlrs.vlrlist.VLRList(
+            [laspy.VLR("somebody", 8, "more notes", b"x" * 70_000)]
+        )
     las.write(str(path))
     T = np.array([scan.T_world_sensor for scan in SCANS])
     T[:, :3, 3] += UTM
@@ -83,11 +91,15 @@ def records(path: Path) -> list[tuple[str, int, str, bytes]]:
         ("1.4", 7, ".laz"),
     ],
 )
-def test_a_survey_is_cleaned_twice(tmp_path: Path, version: str, point_format: int, suffix: str) -> None:
+def test_a_survey_is_cleaned_twice(
+    tmp_path: Path, version: str, point_format: int, suffix: str
+) -> None:
     path, poses = survey(tmp_path / "survey.laz", version, point_format)
     first = dv.clean(path, tmp_path / f"once{suffix}", poses=poses, **OPTIONS)
     assert first.trajectory is not None
-    again = dv.clean(tmp_path / f"once{suffix}", tmp_path / "twice.laz", poses=first.trajectory, **OPTIONS)
+    again = dv.clean(
+        tmp_path / f"once{suffix}", tmp_path / "twice.laz", poses=first.trajectory, **OPTIONS
+    )
     assert first.account.removed > 0.005 * first.account.points
     assert again.account.points == first.account.kept + first.account.unposed_kept
     assert again.account.removed <= 0.001 * again.account.points
@@ -102,7 +114,9 @@ def test_a_survey_is_cleaned_twice(tmp_path: Path, version: str, point_format: i
         assert found.header.point_format == source.header.point_format
         rows = np.array([whole[int(n)] for n in found.normal[:, 0]])
         for name in source.point_format.dimension_names:
-            assert np.asarray(found[name]).tobytes() == np.asarray(source[name])[rows].tobytes(), name
+            assert np.asarray(found[name]).tobytes() == np.asarray(source[name])[rows].tobytes(), (
+                name
+            )
 
 
 @pytest.mark.filterwarnings("ignore:.*no TF from")
@@ -117,9 +131,14 @@ def test_a_map_of_a_bag_has_gps_time_and_can_be_cleaned_again(tmp_path: Path) ->
     first = dv.clean(bag.path, tmp_path / "map.laz", **OPTIONS)
     found = laspy.read(tmp_path / "map.laz")
     assert found.header.global_encoding.gps_time_type == laspy.header.GpsTimeType.STANDARD
-    unix = np.round((np.asarray(found.gps_time) + 1e9 + leap_offset(START / 1e9) - START / 1e9) * 10) / 10
+    unix = (
+        np.round((np.asarray(found.gps_time) + 1e9 + leap_offset(START / 1e9) - START / 1e9) * 10)
+        / 10
+    )
     assert set(unix.tolist()) == {k / 10 for k in range(len(SCANS))}
-    again = dv.clean(tmp_path / "map.laz", tmp_path / "again.laz", poses=first.trajectory, **OPTIONS)
+    again = dv.clean(
+        tmp_path / "map.laz", tmp_path / "again.laz", poses=first.trajectory, **OPTIONS
+    )
     assert again.account.unposed_kept == again.account.unposed_left_out == 0
     assert again.account.removed <= 0.001 * again.account.points
     kept = read_fields(tmp_path / "again.laz")
@@ -136,8 +155,14 @@ def test_a_map_of_two_lidars_can_be_cleaned_again(tmp_path: Path) -> None:
         for k, scan in enumerate(SCANS):
             T = scan.T_world_sensor
             for topic, height in mounts.items():
-                xyz = geometry.transform(geometry.inverse(T), scan.points) - np.array([0, 0, height])
-                bag.cloud(k / 10, {axis: xyz[:, n].astype("f4") for n, axis in enumerate("xyz")}, topic=topic)
+                xyz = geometry.transform(geometry.inverse(T), scan.points) - np.array(
+                    [0, 0, height]
+                )
+                bag.cloud(
+                    k / 10,
+                    {axis: xyz[:, n].astype("f4") for n, axis in enumerate("xyz")},
+                    topic=topic,
+                )
             bag.odometry(k / 10, T)
     extrinsic = ";".join(f"{topic}=0,0,{height},0,0,0" for topic, height in mounts.items())
     first = dv.clean(f"{bag.path}#/low,/high", tmp_path / "map.laz", extrinsic=extrinsic, **OPTIONS)
@@ -149,9 +174,13 @@ def test_a_map_of_two_lidars_can_be_cleaned_again(tmp_path: Path) -> None:
     assert set(np.unique(read_fields(tmp_path / "map.laz")["lidar"])) == {0, 1}
     again = dv.open(tmp_path / "map.laz", poses=first.trajectory)
     for scan, once in zip(again, SCANS, strict=True):
-        assert set(np.round(scan.origins[:, 2] - once.T_world_sensor[2, 3], 5)) == set(mounts.values())
+        assert set(np.round(scan.origins[:, 2] - once.T_world_sensor[2, 3], 5)) == set(
+            mounts.values()
+        )
     for name in ("again", "and_again"):
-        cleaned = dv.clean(tmp_path / "map.laz", tmp_path / f"{name}.laz", poses=first.trajectory, **OPTIONS)
+        cleaned = dv.clean(
+            tmp_path / "map.laz", tmp_path / f"{name}.laz", poses=first.trajectory, **OPTIONS
+        )
         assert cleaned.account.unposed_kept == cleaned.account.unposed_left_out == 0
         first = cleaned
     with pytest.raises(DataError, match="has the poses of 2 lidars"):
@@ -159,7 +188,9 @@ def test_a_map_of_two_lidars_can_be_cleaned_again(tmp_path: Path) -> None:
 
 
 def test_gps_time_counts_leap_seconds() -> None:
-    """2012-06-30 23:59:59 and 2012-07-01 00:00:00 UTC, between which a leap second was inserted (Bulletin C 43)."""
+    """2012-06-30 23:59:59 and 2012-07-01 00:00:00 UTC, between which a leap second was inserted
+    (Bulletin C 43).
+    """
     before, after = (adjusted_gps_time(np.array([t * 10**9])) for t in (1341100799, 1341100800))
     assert after[0] - before[0] == 2
     # The GPS epoch plus 1e9 s is 2011-09-14 01:46:40 GPS, 15 s before which UTC shows the same.

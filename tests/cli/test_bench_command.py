@@ -24,7 +24,9 @@ Command = Callable[..., tuple[int, str, str]]
 
 def failed(folder: Path, error: str, variant: str = "") -> BenchRow:
     parameter_set = ParameterSet("octomap", variant, {})
-    return BenchRow(BenchCell(SequenceSpec("street"), parameter_set, "", "none"), folder, error=error)
+    return BenchRow(
+        BenchCell(SequenceSpec("street"), parameter_set, "", "none"), folder, error=error
+    )
 
 
 def open_terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
@@ -56,7 +58,9 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return tables
 
 
-def test_a_seed_of_zero_overrides_the_file(run_command: Command, planned: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_a_seed_of_zero_overrides_the_file(
+    run_command: Command, planned: list[dict[str, Any]], tmp_path: Path
+) -> None:
     (tmp_path / "bench.toml").write_text('[search]\nkind = "bayes"\nseed = 5\n')
     for typed, seed in (([], 5), (["--seed", 0], 0), (["--seed", 3], 3)):
         assert run_command("bench", tmp_path / "bench.toml", "-o", tmp_path, *typed)[0] == 0
@@ -87,7 +91,10 @@ def test_an_error_is_shown_unchanged(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    row, terminal = failed(tmp_path / "[auto]", "no [auto] at [/tmp/x]", "act=[auto]"), open_terminal(monkeypatch)
+    row, terminal = (
+        failed(tmp_path / "[auto]", "no [auto] at [/tmp/x]", "act=[auto]"),
+        open_terminal(monkeypatch),
+    )
     with progress("bench", keep=False) as report:
         live = BenchProgress(report, cells=True)
         live.preparing("read [/street]", 1, 2)
@@ -127,21 +134,32 @@ def test_progress_shows_speed_and_the_time_left(
     assert [line.partition("]")[0] for line in printed[1:]] == ["[1/4", "[2/4, 20 s left"]
 
 
-def test_the_named_error_file_exists(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_named_error_file_exists(
+    run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     board = Leaderboard([failed(tmp_path, "cannot be read")])
     monkeypatch.setattr(bench_module, "bench", lambda *given, **options: board)
     for name in ("error.json", "error.log"):
         (tmp_path / name).touch()
-        assert f"{name}. The same command" in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
+        assert (
+            f"{name}. The same command"
+            in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
+        )
 
 
 @pytest.mark.parametrize("variant", ["", "resolution=0.2"])
 def test_failed_trials_are_counted(
     run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, variant: str
 ) -> None:
-    result = SearchResult(ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2)
-    monkeypatch.setattr(bench_module, "bench", lambda *given, **options: Leaderboard([], searches=[result]))
-    assert "of 7 trials (2 failed)" in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
+    result = SearchResult(
+        ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2
+    )
+    monkeypatch.setattr(
+        bench_module, "bench", lambda *given, **options: Leaderboard([], searches=[result])
+    )
+    assert (
+        "of 7 trials (2 failed)" in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
+    )
 
 
 def test_an_interrupted_bench_states_how_to_continue(
@@ -154,12 +172,18 @@ def test_an_interrupted_bench_states_how_to_continue(
     code, _, err = run_command("bench", "-s", "simulate:demo", "-o", tmp_path)
     assert code == 130
     assert err == (
-        f"dynaviz: interrupted. Finished runs are kept in {tmp_path}. The same command continues with the others.\n"
+        f"dynaviz: interrupted. Finished runs are kept in {tmp_path}. The same command continues "
+        "with the others.\n"
     )
-    assert "The same command without --fresh continues" in run_command("bench", "-o", tmp_path, "--fresh")[2]
+    assert (
+        "The same command without --fresh continues"
+        in run_command("bench", "-o", tmp_path, "--fresh")[2]
+    )
 
 
-def test_quiet_shows_no_progress(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_quiet_shows_no_progress(
+    run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def bench(*table: object, callbacks: Any, **options: object) -> Leaderboard:
         callbacks.planned(2)
         callbacks.running(failed(tmp_path, "").cell, "observe", 1, 1)

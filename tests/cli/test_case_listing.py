@@ -25,7 +25,9 @@ WHERE = {
     "moved": 0.0,
     "reasons": {"crossed_by_rays": 3, "never_crossed": 1},
 }
-CASE = FailureCase(kind="false_negative", cost=12.5, sentence="Kept: a car that stood there. " * 6, **WHERE)
+CASE = FailureCase(
+    kind="false_negative", cost=12.5, sentence="Kept: a car that stood there. " * 6, **WHERE
+)
 CLUSTER = RemovedCluster(suspicion=0.75, sentence="Removed: ground. " * 9, **WHERE)
 REMOVALS = Removals(4000, 1000, {"crossed_by_rays": 900, "too_high": 100}, clusters=(CLUSTER,) * 5)
 
@@ -64,7 +66,13 @@ def test_the_table_of_runs_without_ground_truth_shows_what_was_removed():
     earlier = Result("octomap", {}, SequenceInfo("street"))
     text = "\n".join(rendered(result_table([bare, earlier])))
     assert "SA" not in text
-    for part in ("1,000", "25.00", "crossed_by_rays 90\N{NO-BREAK SPACE}%", "too_high 10", "no ground truth"):
+    for part in (
+        "1,000",
+        "25.00",
+        "crossed_by_rays 90\N{NO-BREAK SPACE}%",
+        "too_high 10",
+        "no ground truth",
+    ):
         assert part in text
     assert text.count("n/a") == 5  # nothing is known about the second, and no runtime of either
 
@@ -73,5 +81,7 @@ def test_runs_without_cases_say_why_there_are_none():
     assert rendered(*_cases(Failures(), 20)) == ["No failure cases: no labelled point is wrong."]
     assert rendered(*_clusters(Removals(4000, 0), 20))[-1] == "No point was removed."
     removed = msgspec.structs.replace(REMOVALS, clusters=())
-    assert "contains no clusters of removed points" in rendered(*_clusters(removed, 20), width=120)[-1]
+    assert (
+        "contains no clusters of removed points" in rendered(*_clusters(removed, 20), width=120)[-1]
+    )
     assert rendered(*_clusters(REMOVALS, 3))[-1] == "2 more clusters."

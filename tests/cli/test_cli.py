@@ -29,11 +29,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("data") / "room"
     scans = room(frames=5).scans
     for scan in scans:
-        fields = {**dict(zip("xyz", scan.points.T, strict=True)), "intensity": np.zeros(len(scan), np.float32)}
+        fields = {
+            **dict(zip("xyz", scan.points.T, strict=True)),
+            "intensity": np.zeros(len(scan), np.float32),
+        }
         write_pcd(path / f"pcd/{scan.index:06d}.pcd", fields, scan.T_world_sensor)
-    points, labels = (np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels"))
+    points, labels = (
+        np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels")
+    )
     write_pcd(
-        path / "gt_cloud.pcd", {**dict(zip("xyz", points.T, strict=True)), "intensity": labels.astype(np.float32)}
+        path / "gt_cloud.pcd",
+        {**dict(zip("xyz", points.T, strict=True)), "intensity": labels.astype(np.float32)},
     )
     return path
 
@@ -43,13 +49,22 @@ def one_line(err: str) -> str:
     return err
 
 
-def test_run_writes_all_files_and_shows_the_scores(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_run_writes_all_files_and_shows_the_scores(
+    run_command: Command, folder: Path, tmp_path: Path
+) -> None:
     code, out, err = run_command("run", "octomap", folder, "-o", tmp_path, "--threads", 1)
     assert code == 0, err
     assert "octomap" in out
     assert re.search(r"^octomap on room: label 5/5 frames, [\d.,]+ frames/s$", err, re.M), err
     files = {path.name for path in tmp_path.iterdir()}
-    assert files == {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
+    assert files == {
+        "run.rrd",
+        "result.json",
+        "labels.npz",
+        "static_map.pcd",
+        "dynamic_points.pcd",
+        "config.toml",
+    }
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["counts"]["dynamic_removed"] > 0
     assert result["sequence"]["name"] == "room"
@@ -62,10 +77,37 @@ def test_run_writes_all_files_and_shows_the_scores(run_command: Command, folder:
 def test_running_with_the_written_configuration_gives_the_same_labels(
     run_command: Command, folder: Path, tmp_path: Path
 ) -> None:
-    assert run_command("run", "octomap_g", folder, "-o", tmp_path / "a", "--record", "none", "--set", "resolution=0.3",
-                   "--seed", 4, "--online")[0] == 0  # fmt: skip
-    assert run_command("run", "octomap_g", folder, "-o", tmp_path / "b", "--record", "scores", "--config",
-                   tmp_path / "a/config.toml")[0] == 0  # fmt: skip
+    assert (
+        run_command(
+            "run",
+            "octomap_g",
+            folder,
+            "-o",
+            tmp_path / "a",
+            "--record",
+            "none",
+            "--set",
+            "resolution=0.3",
+            "--seed",
+            4,
+            "--online",
+        )[0]
+        == 0
+    )
+    assert (
+        run_command(
+            "run",
+            "octomap_g",
+            folder,
+            "-o",
+            tmp_path / "b",
+            "--record",
+            "scores",
+            "--config",
+            tmp_path / "a/config.toml",
+        )[0]
+        == 0
+    )
     a, b = (json.loads((tmp_path / name / "result.json").read_text()) for name in "ab")
     assert a["labels_sha256"] == b["labels_sha256"]
     assert (b["seed"], b["online"], b["parameters"]["resolution"]) == (4, True, 0.3)
@@ -75,7 +117,19 @@ def test_running_with_the_written_configuration_gives_the_same_labels(
 
 def test_frames_and_stride_select(run_command: Command, folder: Path, tmp_path: Path) -> None:
     assert (
-        run_command("run", "octomap", folder, "-o", tmp_path, "--record", "none", "--frames", "1:5", "--stride", 2)[0]
+        run_command(
+            "run",
+            "octomap",
+            folder,
+            "-o",
+            tmp_path,
+            "--record",
+            "none",
+            "--frames",
+            "1:5",
+            "--stride",
+            2,
+        )[0]
         == 0
     )
     with np.load(tmp_path / "labels.npz") as z:
@@ -117,7 +171,9 @@ def test_a_mistake_gives_one_line(run_command: Command, folder: Path, typed: str
     assert err.startswith("dynaviz: ")
 
 
-def test_a_file_in_place_of_the_folder_is_an_error(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_folder_is_an_error(
+    run_command: Command, folder: Path, tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("mine")
     for out in ("file", "file/sub"):
         code, _, err = run_command("run", "octomap", folder, "-o", tmp_path / out)
@@ -128,9 +184,14 @@ def test_a_file_in_place_of_the_folder_is_an_error(run_command: Command, folder:
 
 def test_help_without_arguments_lists_commands_and_where_to_start() -> None:
     for words in ((), ("--help",)):
-        done = subprocess.run([sys.executable, "-m", "dynaviz", *words], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", "dynaviz", *words], capture_output=True, text=True, check=False
+        )
         assert "Start with: dynaviz demo" in done.stdout + done.stderr
-        assert all(f"\n  {command.name} " in done.stdout + done.stderr for command in app.registered_commands)
+        assert all(
+            f"\n  {command.name} " in done.stdout + done.stderr
+            for command in app.registered_commands
+        )
 
 
 def test_invalid_data_give_one_line(run_command: Command, folder: Path, tmp_path: Path) -> None:
@@ -162,14 +223,20 @@ def test_invalid_data_give_one_line(run_command: Command, folder: Path, tmp_path
 @pytest.mark.parametrize("name", RENAMED)
 def test_earlier_commands_name_their_successors(run_command: Command, name: str) -> None:
     code, _, err = run_command(name, "anything", "--at-all")
-    assert (code, one_line(err)) == (2, f"dynaviz: 'dynaviz {name}' is now 'dynaviz {RENAMED[name]}'\n")
+    assert (code, one_line(err)) == (
+        2,
+        f"dynaviz: 'dynaviz {name}' is now 'dynaviz {RENAMED[name]}'\n",
+    )
     assert run_command(RENAMED[name].split()[0], "--help")[0] == 0
 
 
 def test_list_and_info(run_command: Command, folder: Path) -> None:
     code, out, _ = run_command("list")
     assert code == 0
-    assert all(name in out for name in ("octomap_gf", "semantickitti", "hdl64e", "av2", "demo", "breakdown"))
+    assert all(
+        name in out
+        for name in ("octomap_gf", "semantickitti", "hdl64e", "av2", "demo", "breakdown")
+    )
     code, out, _ = run_command("list", "octomap", "--preset", "av2", "--set", "prob_hit=0.6")
     assert code == 0
     assert all(text in out for text in ("preset av2", "--set", "default", "0.6"))

@@ -18,11 +18,19 @@ Command = Callable[..., tuple[int, str, str]]
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("runs")
     for name, size in (("a", 0.2), ("b", 0.6)):
-        dv.run("octomap", room(5, 1500), out=folder / name, record="scores", settings=(f"resolution={size}",))
+        dv.run(
+            "octomap",
+            room(5, 1500),
+            out=folder / name,
+            record="scores",
+            settings=(f"resolution={size}",),
+        )
     return folder / "a/run.rrd", folder / "b/run.rrd"
 
 
-def test_tables_a_recording_and_json(run_command: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
+def test_tables_a_recording_and_json(
+    run_command: Command, recordings: tuple[Path, Path], tmp_path: Path
+) -> None:
     out, plain = tmp_path / "deep/both.rrd", tmp_path / "both.json"
     code, shown, err = run_command("compare", *recordings, "-o", out, "--json", plain)
     assert code == 0, err
@@ -38,14 +46,19 @@ def test_tables_a_recording_and_json(run_command: Command, recordings: tuple[Pat
 
 
 def test_the_default_output_is_in_the_working_directory(
-    run_command: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run_command: Command,
+    recordings: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert run_command("compare", *recordings, recordings[0])[0] == 0
     assert [path.name for path in tmp_path.iterdir()] == ["compare.rrd"]
 
 
-def test_fail_below_sets_the_exit_code(run_command: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
+def test_fail_below_sets_the_exit_code(
+    run_command: Command, recordings: tuple[Path, Path], tmp_path: Path
+) -> None:
     out = ("-o", tmp_path / "x.rrd")
     delta = dv.compare(*recordings).pairs[0].scores.AA.delta
     assert delta is not None
@@ -58,14 +71,28 @@ def test_fail_below_sets_the_exit_code(run_command: Command, recordings: tuple[P
         assert "Scores" in shown
     code, _, err = run_command("compare", recordings[0], *recordings, *out, "--fail-below", 100)
     assert code == 1
-    assert [line.split()[1] for line in err.splitlines() if line.startswith("dynaviz:")] == ["B", "C"]
+    assert [line.split()[1] for line in err.splitlines() if line.startswith("dynaviz:")] == [
+        "B",
+        "C",
+    ]
 
 
 @pytest.mark.parametrize(
-    "typed", ["{0}", "{0} absent.rrd", "{0} {1} -o {1}", "{0} {1} --json {0}/x.json", "{0} {0} --fail-below x"]
+    "typed",
+    [
+        "{0}",
+        "{0} absent.rrd",
+        "{0} {1} -o {1}",
+        "{0} {1} --json {0}/x.json",
+        "{0} {0} --fail-below x",
+    ],
 )
 def test_errors_have_no_traceback(
-    run_command: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str
+    run_command: Command,
+    recordings: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    typed: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     code, _, err = run_command("compare", *typed.format(*recordings).split())

@@ -49,14 +49,19 @@ def one_line(err: str) -> str:
     return err
 
 
-def test_convert_takes_frames_and_sensor(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_convert_takes_frames_and_sensor(
+    run_command: Command, folder: Path, tmp_path: Path
+) -> None:
     code, out, err = run_command(
         "convert", folder, tmp_path / "x", "--frames", "1:", "--stride", 2, "--sensor", "vlp16"
     )
     assert code == 0, err
     assert "2 frames, 2,000 points, poses bit for bit" in out
     assert "write 2/2 frames" in err
-    assert sorted(path.name for path in (tmp_path / "x/pcd").iterdir()) == ["000011.pcd", "000013.pcd"]
+    assert sorted(path.name for path in (tmp_path / "x/pcd").iterdir()) == [
+        "000011.pcd",
+        "000013.pcd",
+    ]
     assert 'sensor = "vlp16"' in (tmp_path / "x/sequence.toml").read_text()
     code, _, err = run_command("convert", folder, tmp_path / "x")
     assert (code, "already exists" in one_line(err)) == (2, True)
@@ -73,7 +78,9 @@ def test_convert_takes_poses_and_warns(run_command: Command, tmp_path: Path) -> 
     np.save(tmp_path / "scans/labels/000010.npy", np.full(50, 1))
     rows = [" ".join(map(str, scan.T_world_sensor[:3].ravel())) for scan in scans]
     (tmp_path / "track.txt").write_text("\n".join(rows) + "\n")
-    code, out, err = run_command("convert", tmp_path / "scans", tmp_path / "out", "--poses", tmp_path / "track.txt")
+    code, out, err = run_command(
+        "convert", tmp_path / "scans", tmp_path / "out", "--poses", tmp_path / "track.txt"
+    )
     assert code == 0, err
     assert "2 frames, 100 points" in out
     assert "warning: 50 of 100 points are unlabelled" in err
@@ -83,14 +90,24 @@ def test_convert_takes_poses_and_warns(run_command: Command, tmp_path: Path) -> 
 
 
 def test_convert_labels(run_command: Command, folder: Path, tmp_path: Path) -> None:
-    assert run_command("run", "octomap", folder, "-o", tmp_path / "run", "--record", "none", "--frames", "1:3")[0] == 0
+    assert (
+        run_command(
+            "run", "octomap", folder, "-o", tmp_path / "run", "--record", "none", "--frames", "1:3"
+        )[0]
+        == 0
+    )
     code, out, err = run_command("convert", tmp_path / "run", tmp_path / "labels", "--labels")
     assert code == 0, err
     assert "2 frames" in out
-    assert sorted(path.name for path in (tmp_path / "labels").iterdir()) == ["000011.label", "000012.label"]
+    assert sorted(path.name for path in (tmp_path / "labels").iterdir()) == [
+        "000011.label",
+        "000012.label",
+    ]
 
 
-def test_download(run_command: Command, mirror: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_download(
+    run_command: Command, mirror: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("DYNAVIZ_DOWNLOAD_URL", mirror)
     code, out, err = run_command("convert", "download:05", tmp_path / "data")
     assert code == 0, err
@@ -116,4 +133,8 @@ def test_options_without_effect_are_refused(
     run_command: Command, tmp_path: Path, words: tuple[str, ...], option: str
 ) -> None:
     source, *options = words
-    assert run_command("convert", source, tmp_path / "x", *options) == (2, "", f"dynaviz: {option}\n")
+    assert run_command("convert", source, tmp_path / "x", *options) == (
+        2,
+        "",
+        f"dynaviz: {option}\n",
+    )

@@ -23,7 +23,9 @@ def test_a_broken_method_is_left_out(
     for module, name in ((simulate, "simulate"), (api, "open"), (api, "compare")):
         monkeypatch.setattr(module, name, lambda *given, **how: None)
     monkeypatch.setattr(precompile, "compiling", contextlib.nullcontext)
-    monkeypatch.setattr(api, "run", lambda name, *given, **how: Result(name, {}, SequenceInfo("street")))
+    monkeypatch.setattr(
+        api, "run", lambda name, *given, **how: Result(name, {}, SequenceInfo("street"))
+    )
     code, out, err = run_command("demo", "-o", tmp_path, "--no-view")
     assert code == 0, err
     assert "dynaviz: warning: method 'a_broken_one'" in err

@@ -19,7 +19,11 @@ def write(folder: Path, in_sensor_frame: bool = False) -> Path:
     for scan in crossing(6):
         T = scan.T_world_sensor
         points = (scan.points - T[:3, 3]) @ T[:3, :3] if in_sensor_frame else scan.points
-        write_pcd(folder / f"pcd/{scan.index:06d}.pcd", dict(zip("xyz", points.T.astype(np.float32), strict=True)), T)
+        write_pcd(
+            folder / f"pcd/{scan.index:06d}.pcd",
+            dict(zip("xyz", points.T.astype(np.float32), strict=True)),
+            T,
+        )
     return folder
 
 
@@ -41,7 +45,9 @@ def test_exit_codes_list_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "Fix: " in out
     assert "6/6 frames" in err
     written = json.loads((tmp_path / "findings.json").read_text())
-    assert [(row["name"], row["confidence"]) for row in written["findings"]] == [("points in sensor frame", "certain")]
+    assert [(row["name"], row["confidence"]) for row in written["findings"]] == [
+        ("points in sensor frame", "certain")
+    ]
     assert command("doctor", tmp_path / "absent") == 2
     assert capsys.readouterr().err.count("\n") == 1
     # The suggested fix works.
@@ -55,7 +61,9 @@ def test_help_begins_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_bag_without_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its scans are examined, its topics listed, and the command proposed that estimates the poses."""
+    """Its scans are examined, its topics listed, and the command proposed that
+    estimates the poses.
+    """
     with BagWriter(tmp_path / "drive") as bag:
         for k, scan in enumerate(crossing(6)):
             T = scan.T_world_sensor

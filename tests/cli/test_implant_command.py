@@ -30,16 +30,22 @@ def digests(folder: Path) -> dict[str, str]:
     }
 
 
-def test_implants_are_written_run_and_scored(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_implants_are_written_run_and_scored(
+    run_command: Command, folder: Path, tmp_path: Path
+) -> None:
     code, out, err = run_command("simulate", f"implant:{folder}?{QUERY}", tmp_path / "x")
     assert code == 0, err
     assert "6 frames" in out
     assert "Rays without a return: known from the regular scan pattern" in out
     assert "Scores: DA over the implants and the points labelled dynamic" in out
-    assert {"pcd", "gt_cloud.pcd", "sequence.toml", "implants.toml"} == {p.name for p in (tmp_path / "x").iterdir()}
+    assert {"pcd", "gt_cloud.pcd", "sequence.toml", "implants.toml"} == {
+        p.name for p in (tmp_path / "x").iterdir()
+    }
     assert 'implanted person"' in (tmp_path / "x/sequence.toml").read_text()
     assert (read_pcd(tmp_path / "x/gt_cloud.pcd")["class"] >= 60001).sum() > 100
-    code, out, err = run_command("run", "removert", tmp_path / "x", "-o", tmp_path / "run", "--record", "none")
+    code, out, err = run_command(
+        "run", "removert", tmp_path / "x", "-o", tmp_path / "run", "--record", "none"
+    )
     assert code == 0, err
     by_path = dynaviz.open(f"implant:{folder}?{QUERY}")
     written = dynaviz.open(tmp_path / "x")
@@ -62,10 +68,14 @@ def test_the_same_seed_and_the_scene_file_give_the_same_bytes(
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     assert run_command("simulate", f"implant:{folder}?{QUERY}", tmp_path / "b/x")[0] == 0
     assert digests(tmp_path / "a/x") == digests(tmp_path / "b/x")
-    code, _, err = run_command("simulate", f"implant:{folder}?scene={tmp_path}/a/x/implants.toml", tmp_path / "c/x")
+    code, _, err = run_command(
+        "simulate", f"implant:{folder}?scene={tmp_path}/a/x/implants.toml", tmp_path / "c/x"
+    )
     assert code == 0, err
     first, again = digests(tmp_path / "a/x"), digests(tmp_path / "c/x")
-    assert {name for name in first if first[name] != again[name]} == {"sequence.toml"}  # it has the name
+    assert {name for name in first if first[name] != again[name]} == {
+        "sequence.toml"
+    }  # it has the name
 
 
 def test_info_on_a_path(run_command: Command, folder: Path) -> None:
@@ -78,7 +88,9 @@ def test_frames_of_the_sequence(run_command: Command, folder: Path, tmp_path: Pa
     words = ("simulate", f"implant:{folder}?{QUERY}&panel=none", tmp_path / "x", "--frames", "1:4")
     code, _, err = run_command(*words)
     assert code == 0, err
-    assert sorted(path.name for path in (tmp_path / "x/pcd").iterdir()) == [f"{k:06d}.pcd" for k in (1, 2, 3)]
+    assert sorted(path.name for path in (tmp_path / "x/pcd").iterdir()) == [
+        f"{k:06d}.pcd" for k in (1, 2, 3)
+    ]
     assert len(dynaviz.open(f"implant:{folder}?{QUERY}&frames=1:4")) == 3
 
 

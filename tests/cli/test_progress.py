@@ -29,10 +29,17 @@ def test_speed_and_time_left_start_after_the_first_step(clock: list[float]) -> N
 
 
 def test_durations_have_one_unit() -> None:
-    assert [duration(seconds) for seconds in (4.6, 89, 600, 9000)] == ["5 s", "89 s", "10 min", "2.5 h"]
+    assert [duration(seconds) for seconds in (4.6, 89, 600, 9000)] == [
+        "5 s",
+        "89 s",
+        "10 min",
+        "2.5 h",
+    ]
 
 
-def test_log_lines_are_rare_and_complete(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+def test_log_lines_are_rare_and_complete(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
     with progress("octomap on street", unit={"fetch": "MB"}) as report:
         for done in range(1, 13):
             clock[0] += 1.0
@@ -62,7 +69,8 @@ def test_the_command_line_imports_without_unix_modules() -> None:
     code = (
         "import sys\n"
         "for name in ('fcntl', 'termios', 'resource', 'pwd', 'grp'): sys.modules[name] = None\n"
-        "import dynaviz.cli, dynaviz.cli.bench_progress, dynaviz.benchmarking.bench, dynaviz.tasks.worker\n"
+        "import dynaviz.cli, dynaviz.cli.bench_progress, dynaviz.benchmarking.bench, "
+        "dynaviz.tasks.worker\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -53,14 +53,19 @@ def test_maps_of_other_programs_have_no_runtime(report, folder):
     first = Result.load(folder / "a/result.json")
     runtime = Runtime(frames=3)  # as for a scored map
     for name in ("a", "b"):
-        replace(first, sequence=SequenceInfo(name, name), runtime=runtime).save(folder / name / "result.json")
+        replace(first, sequence=SequenceInfo(name, name), runtime=runtime).save(
+            folder / name / "result.json"
+        )
     code, out, err = report(folder)
     assert code == 0, err
     assert "all 2" in out
 
 
 def test_a_result_found_by_several_paths_counts_once(report, folder):
-    assert report(folder, folder / "a", folder / "a/result.json", "--format", "csv")[1].count("\n") == 2
+    assert (
+        report(folder, folder / "a", folder / "a/result.json", "--format", "csv")[1].count("\n")
+        == 2
+    )
 
 
 def test_a_result_takes_precedence_over_an_earlier_error(report, folder):
@@ -82,7 +87,10 @@ def broken(folder: Path, name: str, content: str) -> Path:
         (lambda folder: (folder, "-o", "x.docx"), "Give --format csv|html|md"),
         (lambda folder: (folder, "--format", "htlm"), "Did you mean 'html'?"),
         (lambda folder: (broken(folder, "result.json", "{"),), "b/result.json: not valid JSON"),
-        (lambda folder: (broken(folder, "error.json", json.dumps({"error": 1})),), "b/error.json: does not state"),
+        (
+            lambda folder: (broken(folder, "error.json", json.dumps({"error": 1})),),
+            "b/error.json: does not state",
+        ),
     ],
 )
 def test_errors_take_one_line(report, folder, given, message):

@@ -25,16 +25,45 @@ from dynaviz.runs.options import (
 from dynaviz.sources import opening
 from dynaviz.sources.options import SequenceKeywords, SequenceOptions
 
-SEQUENCE = {"frames": "1:3", "stride": 2, "sensor": "vlp16", "poses": "p.tum", "points_in": "world", "deskew": False,
-            "extrinsic": "1,2,3,0,0,0", "refine_poses": True}  # fmt: skip
+SEQUENCE = {
+    "frames": "1:3",
+    "stride": 2,
+    "sensor": "vlp16",
+    "poses": "p.tum",
+    "points_in": "world",
+    "deskew": False,
+    "extrinsic": "1,2,3,0,0,0",
+    "refine_poses": True,
+}
 METHOD = {"preset": "av2", "config": Path("c.toml"), "settings": ("a=1",), "seed": 7, "threads": 1}
-RUN = {**METHOD, "online": True, "variant": "v", "record": "scores", "record_budget": "1GB", "view": True,
-       "tiles": "50", "workers": 2, "scheduler": "s:1", "maps": False}  # fmt: skip
-OPENS = {"run": ["octomap", "SEQ"], "clean": ["SEQ", "-o", "m.pcd"], "score": ["m.pcd", "SEQ"], "live": ["SEQ"],
-         "info": ["SEQ"], "doctor": ["SEQ"], "convert": ["SEQ", "OUT"],
-         "tune": ["SEQ", "-m", "octomap", "-o", "OUT"],
-         "bench": ["-s", "SEQ", "-m", "octomap", "-o", "OUT"]}  # fmt: skip
-RUNS = {"run": RUN, "clean": {name: value for name, value in RUN.items() if name != "maps"}, "live": METHOD}
+RUN = {
+    **METHOD,
+    "online": True,
+    "variant": "v",
+    "record": "scores",
+    "record_budget": "1GB",
+    "view": True,
+    "tiles": "50",
+    "workers": 2,
+    "scheduler": "s:1",
+    "maps": False,
+}
+OPENS = {
+    "run": ["octomap", "SEQ"],
+    "clean": ["SEQ", "-o", "m.pcd"],
+    "score": ["m.pcd", "SEQ"],
+    "live": ["SEQ"],
+    "info": ["SEQ"],
+    "doctor": ["SEQ"],
+    "convert": ["SEQ", "OUT"],
+    "tune": ["SEQ", "-m", "octomap", "-o", "OUT"],
+    "bench": ["-s", "SEQ", "-m", "octomap", "-o", "OUT"],
+}
+RUNS = {
+    "run": RUN,
+    "clean": {name: value for name, value in RUN.items() if name != "maps"},
+    "live": METHOD,
+}
 WITHOUT_SEQUENCE = {"demo", "check", "compare", "explore", "list",
                     "report", "simulate", "view", "why"}  # fmt: skip
 
@@ -65,8 +94,13 @@ def caught(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def seen(source: Any, options: SequenceOptions, **more: Any) -> Any:
         raise Seen(options)
 
-    for module in ("dynaviz.sources.opening", "dynaviz.api", "dynaviz.cleaning", "dynaviz.benchmarking.tune",
-                   "dynaviz.benchmarking.source"):  # fmt: skip
+    for module in (
+        "dynaviz.sources.opening",
+        "dynaviz.api",
+        "dynaviz.cleaning",
+        "dynaviz.benchmarking.tune",
+        "dynaviz.benchmarking.source",
+    ):
         monkeypatch.setattr(f"{module}.open_source", seen)
 
 
@@ -83,9 +117,9 @@ def test_options_and_keywords_have_the_same_names() -> None:
         (MethodOptions, MethodKeywords),
         (RunOptions, RunKeywords),
     ):
-        assert {each.name for each in dataclasses.fields(options)} == set(keywords.__annotations__) | (
-            set(MethodKeywords.__annotations__) if keywords is RunKeywords else set()
-        )
+        assert {each.name for each in dataclasses.fields(options)} == set(
+            keywords.__annotations__
+        ) | (set(MethodKeywords.__annotations__) if keywords is RunKeywords else set())
     assert SEQUENCE.keys() == {each.name for each in dataclasses.fields(SequenceOptions)}
     assert RUN.keys() == {each.name for each in dataclasses.fields(RunOptions)}
     defaults = SequenceOptions()
@@ -98,14 +132,18 @@ def test_every_command_is_listed_here() -> None:
 
 
 @pytest.mark.parametrize("command", OPENS)
-def test_commands_pass_all_options_of_opening(command: str, caught: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_pass_all_options_of_opening(
+    command: str, caught: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found = typed(monkeypatch, command, *OPENS[command], *flags(SEQUENCE))
     left_to_the_run = command in ("run", "clean", "bench")  # refines into the folder of the run
     assert found == SequenceOptions(**{**SEQUENCE, "refine_poses": not left_to_the_run})
 
 
 @pytest.mark.parametrize("command", RUNS)
-def test_commands_pass_all_options_of_running(command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_commands_pass_all_options_of_running(
+    command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.chdir(tmp_path)
     opened = opening.open_source(SCANS, SequenceOptions())
     for module in ("dynaviz.sources.opening", "dynaviz.api", "dynaviz.cleaning"):
@@ -116,8 +154,12 @@ def test_commands_pass_all_options_of_running(command: str, monkeypatch: pytest.
 
     monkeypatch.setattr(execution, "run_method", ran)
     monkeypatch.setattr("dynaviz.cleaning.run_method", ran)
-    monkeypatch.setattr(playback, "play_live", lambda *given, options, **more: ran("", None, options))
-    found, refine_poses = typed(monkeypatch, command, *OPENS[command], "--refine-poses", *flags(RUNS[command]))
+    monkeypatch.setattr(
+        playback, "play_live", lambda *given, options, **more: ran("", None, options)
+    )
+    found, refine_poses = typed(
+        monkeypatch, command, *OPENS[command], "--refine-poses", *flags(RUNS[command])
+    )
     if command == "live":
         assert found == MethodOptions(**METHOD)
     else:
@@ -136,18 +178,24 @@ SCANS = [(np.ones((9, 3)), np.eye(4))]
         lambda **options: dv.clean("SEQ", "m.pcd", **options),
         lambda **options: dv.score("m.pcd", "SEQ", **options),
         lambda **options: dv.tune("SEQ", "octomap", "OUT", **options),
-        lambda **options: dv.bench({"methods": ["octomap"], "sequences": ["SEQ"], "opening": options}, "OUT"),
+        lambda **options: dv.bench(
+            {"methods": ["octomap"], "sequences": ["SEQ"], "opening": options}, "OUT"
+        ),
     ],
     ids=["open", "run", "clean", "score", "tune", "bench"],
 )
 def test_python_verbs_pass_all_options_of_opening(verb: Any, caught: None) -> None:
     with pytest.raises(Seen) as found:
         verb(**SEQUENCE)
-    assert dataclasses.replace(found.value.options, refine_poses=True) == SequenceOptions(**SEQUENCE)
+    assert dataclasses.replace(found.value.options, refine_poses=True) == SequenceOptions(
+        **SEQUENCE
+    )
 
 
 @pytest.mark.parametrize("verb", [dv.run, dv.clean])
-def test_python_verbs_that_run_a_method_take_all_options(verb: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_verbs_that_run_a_method_take_all_options(
+    verb: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def ran(method: str, sequence: Any, options: Any, **more: Any) -> Any:
         raise Seen(options)
 
@@ -165,6 +213,10 @@ def test_python_verbs_that_run_a_method_take_all_options(verb: Any, monkeypatch:
 def test_a_command_has_the_defaults_of_its_function(verb: str) -> None:
     command = vars(importlib.import_module(f"dynaviz.cli.{verb}"))[verb]
     theirs, own = (inspect.signature(each).parameters for each in (command, getattr(dv, verb)))
-    shared = [name for name in own if name in theirs and isinstance(own[name].default, int | float | str)]
+    shared = [
+        name for name in own if name in theirs and isinstance(own[name].default, int | float | str)
+    ]
     assert shared
-    assert {name: theirs[name].default or own[name].default for name in shared} == {n: own[n].default for n in shared}
+    assert {name: theirs[name].default or own[name].default for name in shared} == {
+        n: own[n].default for n in shared
+    }

@@ -27,7 +27,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A labelled sequence, the same sequence without labels, and maps of it."""
     path = tmp_path_factory.mktemp("data")
     scans = room(frames=4, rays=1500).scans
-    points, labels = (np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels"))
+    points, labels = (
+        np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels")
+    )
     for scan in scans:
         for name in ("room", "bare"):
             xyz = dict(zip("xyz", scan.points.T, strict=True))
@@ -62,17 +64,42 @@ def test_a_map_is_scored_with_all_files(
 
 def test_labels_of_each_scan_are_scored(score: Command, folder: Path, tmp_path: Path) -> None:
     (folder / "labels/000012.label").unlink()
-    code, out, err = score(folder / "labels", folder / "room", "-o", tmp_path, "--name", "network", "--record", "none")
+    code, out, err = score(
+        folder / "labels", folder / "room", "-o", tmp_path, "--name", "network", "--record", "none"
+    )
     assert code == 0, err
     assert "scoring: mask" in out
-    assert err.count("warning: labels: has no labels for 1 of 4 frames (12); their points are not scored") == 1
+    assert (
+        err.count(
+            "warning: labels: has no labels for 1 of 4 frames (12); their points are not scored"
+        )
+        == 1
+    )
     result = json.loads((tmp_path / "result.json").read_text())
-    assert (result["method"], result["metrics"]["AA"], result["counts"]["unlabelled"]) == ("network", 100, 1500)
+    assert (result["method"], result["metrics"]["AA"], result["counts"]["unlabelled"]) == (
+        "network",
+        100,
+        1500,
+    )
 
 
 def test_options(score: Command, folder: Path, tmp_path: Path) -> None:
-    code, out, _ = score(folder / "clean.pcd", folder / "room", "-o", tmp_path, "--radius", 0.3, "--name", "mine",
-                         "--frames", "1:3", "--record", "none", "--threads", 1)  # fmt: skip
+    code, out, _ = score(
+        folder / "clean.pcd",
+        folder / "room",
+        "-o",
+        tmp_path,
+        "--radius",
+        0.3,
+        "--name",
+        "mine",
+        "--frames",
+        "1:3",
+        "--record",
+        "none",
+        "--threads",
+        1,
+    )
     assert code == 0
     assert "mine" in out
     result = json.loads((tmp_path / "result.json").read_text())
@@ -86,14 +113,24 @@ def test_labels_of_every_other_frame(run_command: Command, folder: Path, tmp_pat
     )
     assert code == 0, err
     code, _, err = run_command(
-        "score", tmp_path / "a b/labels.npz", folder / "room", "--stride", 2, "-o", tmp_path / "again"
+        "score",
+        tmp_path / "a b/labels.npz",
+        folder / "room",
+        "--stride",
+        2,
+        "-o",
+        tmp_path / "again",
     )
     assert code == 0, err
-    first, again = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("a b", "again"))
+    first, again = (
+        json.loads((tmp_path / name / "result.json").read_text()) for name in ("a b", "again")
+    )
     assert first["labels_sha256"] == again["labels_sha256"]
 
 
-def test_a_run_without_ground_truth_shows_what_it_removed(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_run_without_ground_truth_shows_what_it_removed(
+    run_command: Command, folder: Path, tmp_path: Path
+) -> None:
     code, out, err = run_command("run", "octomap", folder / "bare", "-o", tmp_path)
     assert code == 0, err
     removals = json.loads((tmp_path / "result.json").read_text())["removals"]
@@ -102,7 +139,9 @@ def test_a_run_without_ground_truth_shows_what_it_removed(run_command: Command, 
     assert "crossed_by_rays 100" in out
     assert "SA" not in out
     for name in ("result.json", "run.rrd"):
-        code, out, err = run_command("info", tmp_path / name, "--failures", "--json", tmp_path / "removals.json")
+        code, out, err = run_command(
+            "info", tmp_path / name, "--failures", "--json", tmp_path / "removals.json"
+        )
         assert code == 0, err
         assert "There is no ground truth, so it is unknown which points are wrong." in out
         assert f"{removals['removed']:,} of {removals['points']:,} points were removed" in out
@@ -110,7 +149,9 @@ def test_a_run_without_ground_truth_shows_what_it_removed(run_command: Command, 
         assert "Points removed, by reason" in run_command("info", tmp_path / name)[1]
 
 
-def test_a_map_in_another_frame_gives_a_warning_of_one_line(score: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_map_in_another_frame_gives_a_warning_of_one_line(
+    score: Command, folder: Path, tmp_path: Path
+) -> None:
     code, _, err = score(folder / "away.pcd", folder / "room", "-o", tmp_path, "--record", "none")
     warnings = [line for line in err.splitlines() if "warning" in line]
     assert code == 0
@@ -135,7 +176,9 @@ def test_a_map_in_another_frame_gives_a_warning_of_one_line(score: Command, fold
         ("notes.txt room", "notes.txt"),
     ],
 )
-def test_a_mistake_gives_one_line(score: Command, folder: Path, tmp_path: Path, typed: str, expected: str) -> None:
+def test_a_mistake_gives_one_line(
+    score: Command, folder: Path, tmp_path: Path, typed: str, expected: str
+) -> None:
     map_, sequence, *options = typed.split()
     code, _, err = score(folder / map_, folder / sequence, "-o", tmp_path / "out", *options)
     assert code == 2
@@ -150,6 +193,12 @@ def test_help_begins_with_examples(score: Command) -> None:
     assert out.index("  dynaviz score erasor_output.pcd") < out.index("Options:")
 
 
-def test_a_broken_metric_gives_a_warning(broken_plugins: None, score: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_broken_metric_gives_a_warning(
+    broken_plugins: None, score: Command, folder: Path, tmp_path: Path
+) -> None:
     code, _, err = score(folder / "clean.pcd", folder / "room", "-o", tmp_path)
-    assert (code, err.count("warning: metric 'a_broken_one'"), ".." in err.splitlines()[-1]) == (0, 1, False), err
+    assert (code, err.count("warning: metric 'a_broken_one'"), ".." in err.splitlines()[-1]) == (
+        0,
+        1,
+        False,
+    ), err

@@ -17,7 +17,9 @@ Command = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the little room in ``room``, and a run of OctoMap on every second frame from the second one."""
+    """A folder with the little room in ``room``, and a run of OctoMap on every second frame from
+    the second one.
+    """
     path = tmp_path_factory.mktemp("why")
     convert(room(frames=6, rays=400), path / "room")
     sequence = api.open(path / "room", frames="1:", stride=2)
@@ -56,20 +58,29 @@ def test_it_reads_recordings_and_finds_moved_sequences(
         code, _, err = run_command("why", run / "run.rrd", "--frame", 0, "--point", 5)
         assert code == 2
         assert "Give the sequence of the run: --sequence PATH" in err
-        code, out, err = run_command("why", run / "run.rrd", "--frame", 0, "--point", 5, "--sequence", moved)
+        code, out, err = run_command(
+            "why", run / "run.rrd", "--frame", 0, "--point", 5, "--sequence", moved
+        )
         assert code == 0, err
     finally:
         moved.rename(run.parent / "room")
     assert "point 5 of frame 0" in out
 
 
-def test_labels_of_another_program_have_rays_but_no_ledger(run_command: Command, run: Path, tmp_path: Path) -> None:
+def test_labels_of_another_program_have_rays_but_no_ledger(
+    run_command: Command, run: Path, tmp_path: Path
+) -> None:
     scored = tmp_path / "scored"
-    code, _, err = run_command("score", run / "static_map.pcd", "room", "--frames", "1:", "--stride", 2, "-o", scored)
+    code, _, err = run_command(
+        "score", run / "static_map.pcd", "room", "--frames", "1:", "--stride", 2, "-o", scored
+    )
     assert code == 0, err
     code, out, err = run_command("why", scored / "result.json", "--frame", 1, "--point", 40)
     assert code == 0, err
-    assert "The labels come from another program, so there is no ledger: only the rays are known." in out
+    assert (
+        "The labels come from another program, so there is no ledger: only the rays are known."
+        in out
+    )
     assert "1*" in out
     assert "Removed if" not in out
     (scored / "labels.npz").unlink()
@@ -82,7 +93,10 @@ def test_wrong_arguments_give_one_line(run_command: Command, run: Path) -> None:
     for words, problem in (
         ((run, "--frame", 3, "--point", 0), "frame 3: the run has the frames 0 to 2"),
         ((run, "--frame", 0, "--point", 400), "point 400: frame 0 has the points 0 to 399"),
-        ((run.parent / "room", "--frame", 0, "--point", 0), "contains no result.json and no run.rrd"),
+        (
+            (run.parent / "room", "--frame", 0, "--point", 0),
+            "contains no result.json and no run.rrd",
+        ),
     ):
         code, out, err = run_command("why", *words)
         assert code == 2

@@ -1,4 +1,7 @@
-"""Advice of the doctor that is followed leads to a sequence without findings; ``benchmarks/faults.py`` has them all."""
+"""Advice of the doctor that is followed leads to a sequence without findings.
+
+``benchmarks/faults.py`` has them all.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,10 @@ from dynaviz.testing.world import crossing
 
 SCANS = crossing()
 FAULTS = ["millimetres"]
-FAULTS += [pytest.param(kind, marks=pytest.mark.slow) for kind in ("camera's axes", "quaternion y x w z", "world")]
+FAULTS += [
+    pytest.param(kind, marks=pytest.mark.slow)
+    for kind in ("camera's axes", "quaternion y x w z", "world")
+]
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +31,14 @@ def faults() -> ModuleType:
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_advice_that_is_followed_leads_to_no_findings(kind: str, faults: ModuleType, tmp_path: Path) -> None:
+def test_advice_that_is_followed_leads_to_no_findings(
+    kind: str, faults: ModuleType, tmp_path: Path
+) -> None:
     poses = [scan.T_world_sensor for scan in SCANS]
-    points = [geometry.apply(geometry.inverse(T), scan.points) for scan, T in zip(SCANS, poses, strict=True)]
+    points = [
+        geometry.apply(geometry.inverse(T), scan.points)
+        for scan, T in zip(SCANS, poses, strict=True)
+    ]
     files = faults.Files(points, poses)
     if kind == "millimetres":
         name, wrong = kind, files.scaled(points=1000.0)

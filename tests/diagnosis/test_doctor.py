@@ -1,4 +1,7 @@
-"""The doctor finds each fault inserted into a good sequence, and nothing else. Good sequences have no findings."""
+"""The doctor finds each fault inserted into a good sequence, and nothing else.
+
+Good sequences have no findings.
+"""
 
 from __future__ import annotations
 
@@ -58,8 +61,11 @@ def test_a_good_sequence_has_no_findings() -> None:
     assert "no problems found" in str(found)
 
 
-# Pose faults: in one test the points are placed by the wrong pose, in another only the pose is wrong.
-OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # camera axes in a lidar's frame
+# Pose faults: in one test the points are placed by the wrong pose, in another only the pose is
+# wrong.
+OPTICAL = np.array(
+    [[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
+)  # camera axes in a lidar's frame
 
 
 def shuffled(T: F64, order: list[int]) -> F64:
@@ -73,7 +79,10 @@ POSES: dict[str, tuple[str, Callable[[F64], F64]]] = {
     "inverse": ("poses inverted", np.linalg.inv),
     "camera": ("poses of a camera", lambda T: np.linalg.inv(OPTICAL) @ T @ OPTICAL),
     "camera's axes": ("poses of a camera", lambda T: T @ OPTICAL),
-    "xyzw as wxyz": ("quaternion order", lambda T: shuffled(T, [1, 2, 3, 0])),  # w <- x, x <- y, y <- z, z <- w
+    "xyzw as wxyz": (
+        "quaternion order",
+        lambda T: shuffled(T, [1, 2, 3, 0]),
+    ),  # w <- x, x <- y, y <- z, z <- w
     "wxyz as xyzw": ("quaternion order", lambda T: shuffled(T, [3, 0, 1, 2])),
     "zero": ("poses missing", lambda T: np.eye(4)),
 }
@@ -84,19 +93,31 @@ UNITS = {"millimetres": 1000.0, "centimetres": 100.0}
 
 
 def faulty() -> Iterator[tuple[str, str, list[Scan]]]:
-    """Name, expected finding and scans of faults: orders of quaternions, inversion, axes, units, frames."""
+    """Name, expected finding and scans of faults.
+
+    Orders of quaternions, inversion, axes, units, frames.
+    """
     # Some, for time; swapping x and y hardly tilts a sensor that turns about z.
     chosen = [order for order in ORDERS[::7] if order != [1, 0, 2, 3]]
-    orders = {f"quaternion {order}": ("quaternion order", partial(shuffled, order=order)) for order in chosen}
+    orders = {
+        f"quaternion {order}": ("quaternion order", partial(shuffled, order=order))
+        for order in chosen
+    }
     scaled = {unit: (unit, partial(far_apart, factor=factor)) for unit, factor in UNITS.items()}
     for kind, (name, wrong) in {**POSES, **orders, **scaled}.items():
         poses = [wrong(scan.T_world_sensor) for scan in SCANS]
-        placed_there = [placed(in_sensor_frame(scan), T) for scan, T in zip(SCANS, poses, strict=True)]
+        placed_there = [
+            placed(in_sensor_frame(scan), T) for scan, T in zip(SCANS, poses, strict=True)
+        ]
         yield f"{kind}, points placed", name, renewed(poses, placed_there)
         if kind not in orders:
             yield f"{kind}, poses only", name, renewed(poses, [scan.points for scan in SCANS])
     own = [scan.T_world_sensor for scan in SCANS]
-    yield "sensor frame", "points in sensor frame", renewed(own, [in_sensor_frame(scan) for scan in SCANS])
+    yield (
+        "sensor frame",
+        "points in sensor frame",
+        renewed(own, [in_sensor_frame(scan) for scan in SCANS]),
+    )
     twice = [placed(scan.points.astype(np.float64), scan.T_world_sensor) for scan in SCANS]
     yield "twice transformed", "points in world frame", renewed(own, twice)
     for unit, factor in UNITS.items():
@@ -120,8 +141,10 @@ def renewed(poses: list[F64], points: list[Any]) -> list[Scan]:
 
 FAULTY = {name: (finding, scans) for name, finding, scans in faulty()}
 OFTEN = {  # in each run of the tests: each finding, with certainty and without
-    "inverse, points placed", "inverse, poses only", "camera, points placed", "camera's axes, poses only",
-    "xyzw as wxyz, points placed", "xyzw as wxyz, poses only", "zero, points placed", "millimetres, points placed",
+    "inverse, points placed", "inverse, poses only", "camera, points placed", "camera's axes, "
+    "poses only",
+    "xyzw as wxyz, points "
+    "placed", "xyzw as wxyz, poses only", "zero, points placed", "millimetres, points placed",
     "sensor frame", "twice transformed", "points in centimetres",
 }  # fmt: skip
 
@@ -131,7 +154,9 @@ OFTEN = {  # in each run of the tests: each finding, with certainty and without
 )
 def test_doctor_and_quick_check_name_wrong_poses_units_and_frames(kind: str) -> None:
     expected, scans = FAULTY[kind]
-    diagnosis = diagnose([changed(scan, labels=truth.labels) for scan, truth in zip(scans, SCANS, strict=True)])
+    diagnosis = diagnose(
+        [changed(scan, labels=truth.labels) for scan, truth in zip(scans, SCANS, strict=True)]
+    )
     assert names(diagnosis) == [expected], diagnosis
     finding = diagnosis.findings[0]
     if kind in ("sensor frame", "twice transformed"):
@@ -145,7 +170,10 @@ def test_doctor_and_quick_check_name_wrong_poses_units_and_frames(kind: str) -> 
 def test_a_stationary_sensor_has_no_findings() -> None:
     points = in_sensor_frame(SCANS[0])
     noise = np.random.default_rng(1)
-    scans = [Scan(k, points + noise.normal(0, 0.01, points.shape), np.eye(4), None, SCANS[0].labels) for k in range(6)]
+    scans = [
+        Scan(k, points + noise.normal(0, 0.01, points.shape), np.eye(4), None, SCANS[0].labels)
+        for k in range(6)
+    ]
     assert diagnose(scans).ok
 
 
@@ -155,7 +183,9 @@ def test_a_jump_is_found_where_it_is() -> None:
     T[:2, 3] = 4.0, 3.0
     for k in range(6, len(scans)):
         scans[k] = changed(
-            scans[k], points=placed(scans[k].points.astype(np.float64), T), T_world_sensor=T @ scans[k].T_world_sensor
+            scans[k],
+            points=placed(scans[k].points.astype(np.float64), T),
+            T_world_sensor=T @ scans[k].T_world_sensor,
         )
     found = diagnose(scans)
     assert names(found) == ["poses jump"], found
@@ -165,11 +195,24 @@ def test_a_jump_is_found_where_it_is() -> None:
 
 def spinning(columns: int, order: tuple[int, ...] = (0, 1, 2, 3)) -> F32:
     """A room of 12 x 8 m as 16 rows of a spinning lidar, with intensity and further columns."""
-    azimuth, elevation = np.tile(np.linspace(0, 2 * np.pi, 300), 16), np.radians(np.repeat(np.arange(-15, 17, 2), 300))
-    rays = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], 1)
+    azimuth, elevation = (
+        np.tile(np.linspace(0, 2 * np.pi, 300), 16),
+        np.radians(np.repeat(np.arange(-15, 17, 2), 300)),
+    )
+    rays = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        1,
+    )
     ranges = (np.array([6.0, 4.0, 2.0]) / np.maximum(np.abs(rays), 1e-6)).min(1)
     rows = np.zeros((len(rays), columns), np.float32)
-    rows[:, :3], rows[:, 3] = rays * ranges[:, None], np.random.default_rng(0).uniform(0, 1, len(rays))
+    rows[:, :3], rows[:, 3] = (
+        rays * ranges[:, None],
+        np.random.default_rng(0).uniform(0, 1, len(rays)),
+    )
     rows[:, 4:] = np.repeat(np.arange(16), 300)[:, None]
     rows[:, :4] = rows[:, order]
     return rows
@@ -178,7 +221,11 @@ def spinning(columns: int, order: tuple[int, ...] = (0, 1, 2, 3)) -> F32:
 @pytest.mark.parametrize(
     ("rows", "confidence", "problem"),
     [
-        (spinning(5), Confidence.CERTAIN, "5 columns (x y z intensity ring), but this layout reads 4"),
+        (
+            spinning(5),
+            Confidence.CERTAIN,
+            "5 columns (x y z intensity ring), but this layout reads 4",
+        ),
         (spinning(4, (3, 0, 1, 2)), Confidence.LIKELY, "column 4 has negative values at"),
     ],
 )
@@ -233,7 +280,9 @@ def test_bad_points_in_one_scan(name: str, fault: Callable[[Scan], Scan]) -> Non
     found = diagnose(scans)
     wanted = {name} | ({"not finite"} if name == "empty frame" and len(scans[4]) else set())
     assert set(names(found)) == wanted, found
-    assert all((f.frames, f.count, f.confidence) == ((4,), 1, Confidence.CERTAIN) for f in found.findings)
+    assert all(
+        (f.frames, f.count, f.confidence) == ((4,), 1, Confidence.CERTAIN) for f in found.findings
+    )
 
 
 @pytest.mark.parametrize(("columns", "ok"), [(2, True), (40, False)])
@@ -280,8 +329,12 @@ def test_ground_height_differs_from_the_sensor_file() -> None:
 
 
 def test_labels() -> None:
-    assert names(diagnose([changed(s, labels=np.zeros(len(s), np.uint8)) for s in FEW])) == ["no dynamic label"]
-    assert names(diagnose([changed(s, labels=np.full(len(s), 255, np.uint8)) for s in FEW])) == ["all unlabelled"]
+    assert names(diagnose([changed(s, labels=np.zeros(len(s), np.uint8)) for s in FEW])) == [
+        "no dynamic label"
+    ]
+    assert names(diagnose([changed(s, labels=np.full(len(s), 255, np.uint8)) for s in FEW])) == [
+        "all unlabelled"
+    ]
     assert diagnose([changed(s, labels=None) for s in FEW]).ok
 
 
@@ -314,11 +367,17 @@ def test_a_tilted_world_is_perhaps_wrong() -> None:
     side = np.eye(4)
     side[:3, :3] = Rotation.from_euler("x", 50, degrees=True).as_matrix()
     scans = [
-        changed(s, points=placed(s.points.astype(np.float64), side), T_world_sensor=side @ s.T_world_sensor)
+        changed(
+            s,
+            points=placed(s.points.astype(np.float64), side),
+            T_world_sensor=side @ s.T_world_sensor,
+        )
         for s in SCANS
     ]
     found = diagnose(scans)
-    assert [(f.name, f.confidence) for f in found.findings] == [("tilted", Confidence.PERHAPS)], found
+    assert [(f.name, f.confidence) for f in found.findings] == [("tilted", Confidence.PERHAPS)], (
+        found
+    )
 
 
 def test_no_readable_frame_is_an_error() -> None:
@@ -360,7 +419,8 @@ def test_long_sequences_are_sampled_and_reported_so() -> None:
 
 
 @pytest.mark.parametrize(
-    ("preset", "frames"), [("demo", 10), pytest.param("hall_mid360", 10, marks=pytest.mark.slow), ("square_vlp32c", 3)]
+    ("preset", "frames"),
+    [("demo", 10), pytest.param("hall_mid360", 10, marks=pytest.mark.slow), ("square_vlp32c", 3)],
 )
 def test_simulated_sequences_have_no_findings(preset: str, frames: int, tmp_path: Path) -> None:
     found = doctor(simulate(preset, tmp_path / preset, frames=frames))

@@ -1,4 +1,7 @@
-"""Poses that drift slowly, by height, heading or position, are named with frames and metres; noisy ones are not."""
+"""Poses that drift slowly, by height, heading or position, are named with frames and metres.
+
+Noisy ones are not.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,10 @@ from dynaviz.testing.world import SENSOR, crossing, moved, turn
 
 FRAMES = 30
 SCANS = thinned(crossing(FRAMES))  # 0.6 m per frame
-BACK = [*SCANS[:24], *thinned(crossing(FRAMES, seed=1)[22::-1])]  # to a place 14 m away and the same way back
+BACK = [
+    *SCANS[:24],
+    *thinned(crossing(FRAMES, seed=1)[22::-1]),
+]  # to a place 14 m away and the same way back
 
 
 def lifted(metres: float) -> F64:
@@ -44,7 +50,9 @@ def findings(scans: list[Scan]) -> tuple[Finding, ...]:
     return doctor(InMemory(scans, "drive", SENSOR)).findings
 
 
-@pytest.mark.parametrize("kind", [pytest.param(k, marks=[] if k == "height" else pytest.mark.slow) for k in DRIFTS])
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=[] if k == "height" else pytest.mark.slow) for k in DRIFTS]
+)
 def test_drift_is_named(kind: str) -> None:
     """Scans are placed by the drifting poses, as a reader places scans of the sensor frame."""
     scans = [moved(scan, DRIFTS[kind](k)) for k, scan in enumerate(SCANS)]
@@ -73,7 +81,10 @@ def test_a_place_seen_again_later() -> None:
 
 
 def test_a_standing_sensor_whose_poses_wander() -> None:
-    still = [SCANS[0].points + np.random.default_rng(k).normal(0, 0.01, SCANS[0].points.shape) for k in range(FRAMES)]
+    still = [
+        SCANS[0].points + np.random.default_rng(k).normal(0, 0.01, SCANS[0].points.shape)
+        for k in range(FRAMES)
+    ]
     T = SCANS[0].T_world_sensor
     scans = [moved(Scan(k, p, T), lifted(0.4 * ramp(k, 5, 25))) for k, p in enumerate(still)]
     assert [finding.name for finding in findings(scans)] == ["poses drift"]
@@ -88,7 +99,9 @@ def test_noise_of_poses_is_no_drift() -> None:
 
 def test_quick_check_names_a_drift() -> None:
     scans = [moved(scan, lifted(0.5 * ramp(k, 0, FRAMES))) for k, scan in enumerate(SCANS)]
-    assert [finding.name for finding in quick_check(InMemory(scans, "drive", SENSOR))] == ["poses drift"]
+    assert [finding.name for finding in quick_check(InMemory(scans, "drive", SENSOR))] == [
+        "poses drift"
+    ]
     assert quick_check(InMemory(SCANS, "drive", SENSOR)) == ()
 
 

@@ -1,4 +1,7 @@
-"""Findings on points that were measured while the sensor moved, with poses that jitter; units and axes of the world."""
+"""Findings on points that were measured while the sensor moved, with poses that jitter.
+
+Units and axes of the world.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ SCANS = thinned(crossing(8))
 
 
 def placed(scan: Scan, points: F64, T: F64) -> Scan:
-    return dataclasses.replace(scan, points=points.astype(np.float32), T_world_sensor=T, origins=None)
+    return dataclasses.replace(
+        scan, points=points.astype(np.float32), T_world_sensor=T, origins=None
+    )
 
 
 def local(scan: Scan) -> F64:
@@ -82,7 +87,9 @@ def test_the_fix_of_a_world_that_is_not_z_up(up: str, T: F64) -> None:
 @pytest.fixture(scope="module")
 def drive() -> list[Scan]:
     """A drive with motion during the sweep, and jitter of the poses."""
-    sequence = dv.open("simulate:demo?sweep_s=0.1&jitter_m=0.03&jitter_deg=0.1&frames=20", frames="2:20", stride=2)
+    sequence = dv.open(
+        "simulate:demo?sweep_s=0.1&jitter_m=0.03&jitter_deg=0.1&frames=20", frames="2:20", stride=2
+    )
     return [sequence[k] for k in range(len(sequence))]
 
 
@@ -106,7 +113,9 @@ def test_a_sensor_that_moves_during_the_sweep_has_no_findings(drive: list[Scan])
 def test_correct_poses_far_from_the_origin_have_no_findings(
     position: tuple[float, float, float], drive: list[Scan]
 ) -> None:
-    """There, inverted poses place the sensor far from its cloud, which then hides nothing of itself."""
+    """There, inverted poses place the sensor far from its cloud, which then hides nothing of
+    itself.
+    """
     T = geometry.pose(position, [1.0, 0.0, 0.0, 0.0])
     found = names([moved(scan, T) for scan in drive])
     assert not set(found) - {"ground height"}, found
@@ -118,9 +127,15 @@ FAULTS: dict[str, Callable[[F64], F64]] = {
 }
 
 
-@pytest.mark.parametrize("name", ["poses inverted", pytest.param("poses of a camera", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["poses inverted", pytest.param("poses of a camera", marks=pytest.mark.slow)]
+)
 def test_wrong_poses_of_a_sensor_that_moves_during_the_sweep(name: str, drive: list[Scan]) -> None:
-    wrong = [placed(s, geometry.apply(T, local(s)), T) for s in drive for T in [FAULTS[name](s.T_world_sensor)]]
+    wrong = [
+        placed(s, geometry.apply(T, local(s)), T)
+        for s in drive
+        for T in [FAULTS[name](s.T_world_sensor)]
+    ]
     assert names(wrong)[:1] == [name]
     assert quick_check(InMemory(wrong, "moving", SENSOR))[0].name == name
     only = [placed(s, s.points.astype(np.float64), FAULTS[name](s.T_world_sensor)) for s in drive]
@@ -128,7 +143,9 @@ def test_wrong_poses_of_a_sensor_that_moves_during_the_sweep(name: str, drive: l
 
 
 def test_jitter_of_a_slow_sensor_does_not_look_like_points_in_another_frame() -> None:
-    """Without the poses, the scans of a sensor that hardly moves fit better than with poses that jitter."""
+    """Without the poses, the scans of a sensor that hardly moves fit better than with poses that
+    jitter.
+    """
     noise = np.random.default_rng(3)
     scans = []
     for k in range(8):
@@ -143,9 +160,17 @@ def test_quick_check_of_a_correct_sequence() -> None:
 
 def test_a_run_without_ground_truth_warns_of_wrong_poses() -> None:
     T = [geometry.inverse(scan.T_world_sensor) for scan in SCANS]
-    wrong = [placed(s, geometry.apply(T[k], local(s)), T[k]).without_truth() for k, s in enumerate(SCANS)]
-    with pytest.warns(UserWarning, match=r"^moving: poses inverted: .*'dynaviz doctor' examines all frames$"):
-        found = dv.run("octomap", InMemory(wrong, "moving", SENSOR), settings={"resolution": 0.5}, threads=1)
+    wrong = [
+        placed(s, geometry.apply(T[k], local(s)), T[k]).without_truth() for k, s in enumerate(SCANS)
+    ]
+    with pytest.warns(
+        UserWarning, match=r"^moving: poses inverted: .*'dynaviz doctor' examines all frames$"
+    ):
+        found = dv.run(
+            "octomap", InMemory(wrong, "moving", SENSOR), settings={"resolution": 0.5}, threads=1
+        )
     labelled = [dataclasses.replace(scan, labels=np.zeros(len(scan), np.uint8)) for scan in wrong]
-    again = dv.run("octomap", InMemory(labelled, "moving", SENSOR), settings={"resolution": 0.5}, threads=1)
+    again = dv.run(
+        "octomap", InMemory(labelled, "moving", SENSOR), settings={"resolution": 0.5}, threads=1
+    )
     assert found.labels_sha256 == again.labels_sha256

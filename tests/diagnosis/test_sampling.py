@@ -62,6 +62,10 @@ def test_a_real_drive_at_two_hertz(real_data: Path) -> None:
     assert diagnosis.sampling
     assert (diagnosis.sampling.looks, diagnosis.sampling.rings) == (9, 32)
     assert {"dynablox", "hmm_mos"} <= diagnosis.sampling.poor.keys()
-    assert {"octomap", "beautymap", "freedom"} <= diagnosis.sampling.kept.keys() - diagnosis.sampling.poor.keys()
+    assert {
+        "octomap",
+        "beautymap",
+        "freedom",
+    } <= diagnosis.sampling.kept.keys() - diagnosis.sampling.poor.keys()
     assert "less than half of their DA: " in " ".join(str(diagnosis).split())
     assert diagnosis.to_dict()["sampling"]["looks"] == 9

@@ -11,7 +11,11 @@ from dynaviz.diagnosis.views import around
 @pytest.mark.parametrize(
     ("stamps", "before", "after"),
     [
-        ([0, 500_000_000, 1_000_000_000], -2.0, 1.0),  # at 2 Hz, a sweep of 0.1 s takes a fifth of the way
+        (
+            [0, 500_000_000, 1_000_000_000],
+            -2.0,
+            1.0,
+        ),  # at 2 Hz, a sweep of 0.1 s takes a fifth of the way
         ([0, 50_000_000, 100_000_000], -10.0, 5.0),  # no farther than the next frame
         ([None] * 3, -10.0, 5.0),
     ],

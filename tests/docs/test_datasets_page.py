@@ -14,7 +14,9 @@ PAGE = (Path(__file__).resolve().parents[2] / "docs/datasets.md").read_text(enco
 def rows(first: str) -> list[list[str]]:
     """The cells of the table whose head begins like this."""
     table = PAGE[PAGE.index(first) :].split("\n\n")[0]
-    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    return [
+        [cell.strip(" `") for cell in line.strip("|").split("|")] for line in table.splitlines()
+    ]
 
 
 def test_every_data_set_has_its_place() -> None:
@@ -24,7 +26,9 @@ def test_every_data_set_has_its_place() -> None:
 
 def test_every_download_is_described() -> None:
     _, _, *body = rows("| name | what | frames |")
-    assert {cells[0]: int(cells[2]) for cells in body} == {name: remote.frames for name, remote in SEQUENCES.items()}
+    assert {cells[0]: int(cells[2]) for cells in body} == {
+        name: remote.frames for name, remote in SEQUENCES.items()
+    }
     assert {cells[0] for cells in body if "no ground truth" in cells[4]} == {
         name for name, remote in SEQUENCES.items() if not remote.labelled
     }

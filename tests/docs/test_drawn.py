@@ -11,7 +11,9 @@ import pytest
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-def test_the_pictures_are_drawn_from_the_present_colours_layouts_and_page(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pictures_are_drawn_from_the_present_colours_layouts_and_page(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.syspath_prepend(str(DOCS))
     sys.modules.pop("drawn_from", None)
     import drawn_from

@@ -34,7 +34,11 @@ def test_generated_parts_are_up_to_date(generate: ModuleType) -> None:
 def test_each_method_has_every_section_in_the_repository(generate: ModuleType) -> None:
     for name, kind in generate.methods().items():
         text = generate.page(name).read_text(encoding="utf-8")
-        assert [each for each in generate.SECTIONS if not re.search(rf"<!-- generated: {each}(:\w+)? -->", text)] == []
+        assert [
+            each
+            for each in generate.SECTIONS
+            if not re.search(rf"<!-- generated: {each}(:\w+)? -->", text)
+        ] == []
         names = [*kind.Params.__dataclass_fields__, *(reason.name for reason in kind.info.reasons)]
         assert [name for name in names if f"`{name}`" not in text] == []
 

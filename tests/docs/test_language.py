@@ -46,13 +46,21 @@ IDIOMS = {  # what to avoid, and what to write
     r"\bno single [a-z]+ (here|there)\b": "not individually",
 }
 IDIOM = {re.compile(idiom.replace(" ", r"\s+"), re.I): better for idiom, better in IDIOMS.items()}
-CODE = re.compile(r"^ *```.*?^ *```|`[^`\n]*(?:\n[^`\n]+)?`", re.M | re.S)  # fenced blocks and spans
+CODE = re.compile(
+    r"^ *```.*?^ *```|`[^`\n]*(?:\n[^`\n]+)?`", re.M | re.S
+)  # fenced blocks and spans
 COMMAND: Any = typer.main.get_command(app)
-COMMANDS: dict[str, Any] = {"dynaviz": COMMAND, **{f"dynaviz {name}": each for name, each in COMMAND.commands.items()}}
+COMMANDS: dict[str, Any] = {
+    "dynaviz": COMMAND,
+    **{f"dynaviz {name}": each for name, each in COMMAND.commands.items()},
+}
 
 
 def found(text: str, place: str) -> Iterator[str]:
-    """A line ``place:line: phrase`` for each idiom in a text; code blocks and code spans are skipped."""
+    """A line ``place:line: phrase`` for each idiom in a text.
+
+    Code blocks and code spans are skipped.
+    """
     prose = CODE.sub(lambda code: re.sub(r"[^\n]", " ", code[0]), text)
     for idiom, better in IDIOM.items():
         for match in idiom.finditer(prose):
@@ -61,11 +69,17 @@ def found(text: str, place: str) -> Iterator[str]:
 
 
 def texts(name: str, command: Any) -> Iterator[tuple[str, str]]:
-    """The help texts of a command with their places: its own, and those of its arguments and options."""
+    """The help texts of a command with their places.
+
+    Its own, and those of its arguments and options.
+    """
     yield name, f"{command.help or ''}\n{command.epilog or ''}"
     for parameter in command.params:
         opts = "/".join((*parameter.opts, *parameter.secondary_opts))
-        yield f"{name} {opts}", f"{getattr(parameter, 'help', None) or ''}\n{parameter.metavar or ''}"
+        yield (
+            f"{name} {opts}",
+            f"{getattr(parameter, 'help', None) or ''}\n{parameter.metavar or ''}",
+        )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
@@ -76,12 +90,16 @@ def test_pages_are_in_plain_english(page: Path) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_texts_are_in_plain_english(name: str) -> None:
-    problems = [problem for place, text in texts(name, COMMANDS[name]) for problem in found(text, place)]
+    problems = [
+        problem for place, text in texts(name, COMMANDS[name]) for problem in found(text, place)
+    ]
     assert not problems, "\n".join(problems)
 
 
 def test_idioms_are_found_with_their_line_but_not_in_code() -> None:
     text = "Fine.\n\n```sh\ndynaviz run seldom SEQ\n```\n\nThe plug-in `seldom` is\ntold of it.\n"
-    assert [problem.split(". Write")[0] for problem in found(text, "page.md")] == ["page.md:7: 'is told'"]
+    assert [problem.split(". Write")[0] for problem in found(text, "page.md")] == [
+        "page.md:7: 'is told'"
+    ]
     assert len(PAGES) > 25
     assert len(COMMANDS) > 15

@@ -1,7 +1,7 @@
 """The pages: the site builds without a warning, and the commands on it work.
 
-A block ``console`` is tried: its lines that begin with ``$`` run one after another, in a folder of the page's own that
-has the demo's street.
+A block ``console`` is tried: its lines that begin with ``$`` run one after another, in a folder of
+the page's own that has the demo's street.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ FRAMES = 5
 COMMANDS = {
     page.name: [
         line.removeprefix("$ ")
-        for block in re.findall(r"^```console\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+        for block in re.findall(
+            r"^```console\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S
+        )
         for line in block.splitlines()
         if line.startswith("$ ")
     ]
@@ -46,7 +48,9 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         pytest.param(
             name,
-            marks=pytest.mark.slow if name in ("tutorial.md", "comparing.md", "other_programs.md") else [],
+            marks=pytest.mark.slow
+            if name in ("tutorial.md", "comparing.md", "other_programs.md")
+            else [],
         )
         for name, commands in COMMANDS.items()
         if commands
@@ -80,7 +84,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
     for package in ("mkdocs", "material", "mkdocstrings", "latex2mathml"):
         pytest.importorskip(package, reason="needs the tools for pages: pip install -e '.[docs]'")
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--site-dir",
+        str(folder),
+    ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert not done.returncode, done.stdout + done.stderr
     return lambda path: (folder / path).read_text(encoding="utf-8")
@@ -90,8 +103,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
 def test_each_method_has_a_page_that_tells_what_its_code_tells(site: Site) -> None:
     for handle in registry.handles("methods"):
         if handle.package == "dynaviz_methods":
-            kind, page = handle.load(), site(f"methods/{'octomap' if 'octomap' in handle.name else handle.name}.html")
-            names = [*kind.Params.__dataclass_fields__, *(reason.name for reason in kind.info.reasons)]
+            kind, page = (
+                handle.load(),
+                site(f"methods/{'octomap' if 'octomap' in handle.name else handle.name}.html"),
+            )
+            names = [
+                *kind.Params.__dataclass_fields__,
+                *(reason.name for reason in kind.info.reasons),
+            ]
             assert names
             assert [name for name in names if f"<code>{name}</code>" not in page] == []
             assert "{{" not in page
@@ -119,5 +138,7 @@ def test_readmes_are_part_of_the_site_with_links_that_lead_somewhere(site: Site)
 
 
 def test_all_pictures_together_are_small() -> None:
-    pictures = [path for path in DOCS.rglob("*") if path.suffix in (".png", ".jpg", ".svg", ".webp")]
+    pictures = [
+        path for path in DOCS.rglob("*") if path.suffix in (".png", ".jpg", ".svg", ".webp")
+    ]
     assert sum(path.stat().st_size for path in pictures) < 4_000_000

@@ -23,4 +23,7 @@ def test_the_oldest_version_is_the_same_everywhere() -> None:
 def test_each_tested_version_runs_in_ci() -> None:
     workflow = (ROOT / ".github/workflows/ci.yml").read_text()
     assert set(re.findall(r'"(3\.\d+)"', workflow)) == set(TESTED)
-    assert f"tested with Python {', '.join(TESTED[:-1])} and {TESTED[-1]}" in (ROOT / "README.md").read_text()
+    assert (
+        f"tested with Python {', '.join(TESTED[:-1])} and {TESTED[-1]}"
+        in (ROOT / "README.md").read_text()
+    )

@@ -19,7 +19,9 @@ from dynaviz.io.pcd import write_pcd
 from dynaviz.spatial import geometry
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "recipes.md"
-SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE.read_text(encoding="utf-8"), re.M | re.S))
+SECTIONS = dict(
+    re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE.read_text(encoding="utf-8"), re.M | re.S)
+)
 TURN = Rotation.from_euler("z", 0.3).as_matrix()  # of the world, so that poses are not the identity
 SWEEP = 0.1  # seconds
 
@@ -30,7 +32,10 @@ def world() -> list[Scan]:
     T[:3, :3] = TURN
     return [
         Scan(
-            scan.index, geometry.transform(T, scan.points), geometry.compose(T, scan.T_world_sensor), labels=scan.labels
+            scan.index,
+            geometry.transform(T, scan.points),
+            geometry.compose(T, scan.T_world_sensor),
+            labels=scan.labels,
         )
         for scan in hall()
     ]
@@ -59,7 +64,11 @@ def bag(path: Path, scans: list[Scan], kind: str = "ros1") -> None:
     """A drive without poses: points with their times, as a Velodyne driver publishes them."""
     with BagWriter(path, kind) as writer:
         for k, scan in enumerate(scans):
-            writer.cloud(k * SWEEP, columns(own(scan), intensity=np.ones(len(scan), "f4")), topic="/velodyne_points")
+            writer.cloud(
+                k * SWEEP,
+                columns(own(scan), intensity=np.ones(len(scan), "f4")),
+                topic="/velodyne_points",
+            )
 
 
 def numbered(folder: Path, scans: list[Scan]) -> None:
@@ -76,10 +85,20 @@ def cloud(path: Path, points: np.ndarray) -> None:
 def fast_lio(scans: list[Scan]) -> None:
     with BagWriter(Path("fastlio")) as writer:
         for k, scan in enumerate(scans):
-            fields = {name: np.zeros(len(scan), "f4") for name in ("intensity", "normal_x", "normal_y", "normal_z")}
+            fields = {
+                name: np.zeros(len(scan), "f4")
+                for name in ("intensity", "normal_x", "normal_y", "normal_z")
+            }
             fields |= {"curvature": np.linspace(0, 100, len(scan), dtype="f4")}
-            writer.cloud(k * SWEEP, columns(own(scan), **fields), topic="/cloud_registered_body", frame="body")
-            writer.odometry(k * SWEEP, scan.T_world_sensor, topic="/Odometry", world="camera_init", child="body")
+            writer.cloud(
+                k * SWEEP,
+                columns(own(scan), **fields),
+                topic="/cloud_registered_body",
+                frame="body",
+            )
+            writer.odometry(
+                k * SWEEP, scan.T_world_sensor, topic="/Odometry", world="camera_init", child="body"
+            )
 
 
 def fast_livo2(scans: list[Scan]) -> None:
@@ -115,9 +134,13 @@ def lio_sam(scans: list[Scan]) -> None:
     table = np.column_stack([[scans[k].position for k in keys], keys, angles]).astype(np.float32)
     fields = dict(zip(("x", "y", "z", "intensity", "roll", "pitch", "yaw"), table.T, strict=True))
     Path("LOAM").mkdir()
-    write_pcd("LOAM/transformations.pcd", {**fields, "time": [float(seconds(k)) for k in keys]}, np.eye(4))
+    write_pcd(
+        "LOAM/transformations.pcd", {**fields, "time": [float(seconds(k)) for k in keys]}, np.eye(4)
+    )
     numbered(Path("SC/Scans"), scans)
-    np.savetxt("SC/optimized_poses.txt", [scan.T_world_sensor[:3].ravel() for scan in scans], fmt="%.17g")
+    np.savetxt(
+        "SC/optimized_poses.txt", [scan.T_world_sensor[:3].ravel() for scan in scans], fmt="%.17g"
+    )
 
 
 def mast(scans: list[Scan]) -> None:
@@ -136,7 +159,11 @@ def survey(scans: list[Scan]) -> None:
     las.write("survey.laz")
     lines = ["time,x,y,z,qx,qy,qz,qw"]
     for k, scan in enumerate([*scans, scans[-1]]):
-        numbers = 100.0 + SWEEP * k, *scan.position, *Rotation.from_matrix(scan.T_world_sensor[:3, :3]).as_quat()
+        numbers = (
+            100.0 + SWEEP * k,
+            *scan.position,
+            *Rotation.from_matrix(scan.T_world_sensor[:3, :3]).as_quat(),
+        )
         lines.append(",".join(f"{number:.6f}" for number in numbers))
     Path("trajectory.csv").write_text("\n".join(lines) + "\n")
 
@@ -160,10 +187,14 @@ def test_every_recipe_is_tried() -> None:
     "ignore:the sensor is unknown", "ignore:.*outside the time span", "ignore:.*the poses drift"
 )
 @pytest.mark.parametrize(
-    "recipe", [pytest.param(name, marks=[] if name == "FAST-LIO" else pytest.mark.slow) for name in WRITERS]
+    "recipe",
+    [pytest.param(name, marks=[] if name == "FAST-LIO" else pytest.mark.slow) for name in WRITERS],
 )
 def test_recipe(
-    recipe: str, run_command: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recipe: str,
+    run_command: Callable[..., tuple[int, str, str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     scans = world()
@@ -172,8 +203,12 @@ def test_recipe(
     assert commands
     moving = sum(int((scan.labels == Label.DYNAMIC).sum()) for scan in scans)
     for command in commands:
-        code, out, err = run_command(*shlex.split(command)[1:], "--keep-dynamic", "removed.pcd", "--record", "none")
+        code, out, err = run_command(
+            *shlex.split(command)[1:], "--keep-dynamic", "removed.pcd", "--record", "none"
+        )
         assert code == 0, f"{command}\n{out}\n{err}"
-        kept, removed = (len(read_fields(path)["x"]) for path in (shlex.split(command)[-1], "removed.pcd"))
+        kept, removed = (
+            len(read_fields(path)["x"]) for path in (shlex.split(command)[-1], "removed.pcd")
+        )
         print(command, kept, removed, moving)
         assert 0.5 * moving < removed < 1.2 * moving, command

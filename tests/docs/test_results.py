@@ -23,7 +23,9 @@ COLUMNS = {
     ("small-gicp", True): 4,
 }  # after the method
 CELL = next(
-    cell for cell in STORED["cells"] if (cell["drive"], cell["method"], cell["poses"]) == (DRIVE, METHOD, "given")
+    cell
+    for cell in STORED["cells"]
+    if (cell["drive"], cell["method"], cell["poses"]) == (DRIVE, METHOD, "given")
 )
 TUNED = next(cell for cell in STORED["cells"] if cell["set"] and cell["poses"] == "small-gicp")
 
@@ -31,17 +33,26 @@ TUNED = next(cell for cell in STORED["cells"] if cell["set"] and cell["poses"] =
 @pytest.mark.parametrize("cell", [CELL, TUNED], ids=["default", "tuned"])
 def test_a_row_follows_from_the_file(cell: dict[str, Any]) -> None:
     page = (ROOT / "docs/results.md").read_text(encoding="utf-8")
-    scores = page[page.index("## Scores") :].split(f"| `{cell['drive']}` |")[1]  # a drive is named in its first row
+    scores = page[page.index("## Scores") :].split(f"| `{cell['drive']}` |")[
+        1
+    ]  # a drive is named in its first row
     row = next(line for line in scores.splitlines() if f"`{cell['method']}`" in line)
     row = row[row.index(f"`{cell['method']}`") :]
     text = row.split("|")[COLUMNS[cell["poses"], bool(cell["set"])]]
     SA, DA, AA, low, high, found = map(float, re.findall(r"[\d.]+", text))
     kept, removed = cell["static"]
-    points = [number for drive in STORED["drives"] if drive["name"] == cell["drive"] for _, number in drive["movers"]]
+    points = [
+        number
+        for drive in STORED["drives"]
+        if drive["name"] == cell["drive"]
+        for _, number in drive["movers"]
+    ]
     static, dynamic = kept / (kept + removed), sum(cell["removed"]) / sum(points)
     assert pytest.approx([100 * static, 100 * dynamic], abs=0.05) == [SA, DA]
     assert pytest.approx(100 * (static * dynamic) ** 0.5, abs=0.05) == AA
-    assert found == sum(part / whole >= 0.5 for part, whole in zip(cell["removed"], points, strict=True))
+    assert found == sum(
+        part / whole >= 0.5 for part, whole in zip(cell["removed"], points, strict=True)
+    )
     rng, drawn = np.random.default_rng(1), []
     for _ in range(DRAWS):
         chosen = rng.integers(len(points), size=len(points)).tolist()
@@ -54,7 +65,11 @@ def test_every_drive_has_every_method_with_both_poses() -> None:
     methods = {cell["method"] for cell in STORED["cells"]}
     for drive in STORED["drives"]:
         for poses in ("given", "small-gicp"):
-            cells = [c for c in STORED["cells"] if (c["drive"], c["poses"]) == (drive["name"], poses) and not c["set"]]
+            cells = [
+                c
+                for c in STORED["cells"]
+                if (c["drive"], c["poses"]) == (drive["name"], poses) and not c["set"]
+            ]
             assert sorted(cell["method"] for cell in cells) == sorted(methods)
             assert {len(cell["removed"]) for cell in cells} == {len(drive["movers"])}
 

@@ -30,7 +30,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir()
     scans = crossing(FRAMES)
     for scan in scans:
-        np.savetxt(folder / f"{scan.index:06d}.xyzl", np.column_stack([scan.points, scan.labels]), fmt="%.9g")
+        np.savetxt(
+            folder / f"{scan.index:06d}.xyzl",
+            np.column_stack([scan.points, scan.labels]),
+            fmt="%.9g",
+        )
     np.savetxt(folder / "origins.txt", [scan.position for scan in scans])
     return folder
 
@@ -38,7 +42,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_it_runs_and_is_scored_as_any_other(python: Python, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = python("-c", MAIN, "run", "seldom", folder, "-o", out, "--record", "scores", "--set", "min_scans=2")
+    done = python(
+        "-c", MAIN, "run", "seldom", folder, "-o", out, "--record", "scores", "--set", "min_scans=2"
+    )
     assert not done.returncode, done.stderr
     result = json.loads((out / "result.json").read_text())
     scans = crossing(FRAMES)
@@ -78,6 +84,15 @@ def test_damaged_data_are_told_in_a_line(python: Python, folder: Path, tmp_path:
 
 @pytest.mark.slow
 def test_its_own_test_passes(python: Python) -> None:
-    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:dash", TEMPLATE / "test_template.py")
+    done = python(
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:dash",
+        TEMPLATE / "test_template.py",
+    )
     assert not done.returncode, done.stdout
     assert "1 passed" in done.stdout

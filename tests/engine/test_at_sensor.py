@@ -1,4 +1,7 @@
-"""No method sees points at the sensor: they are kept for a reason of their own, counted, and change no other label."""
+"""No method sees points at the sensor.
+
+They are kept for a reason of their own, counted, and change no other label.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,9 @@ def with_points(scan: Scan, local: F64) -> Scan:
     """The scan with points of the sensor frame, (K, 3) metres, after its own ones."""
     added = geometry.apply(scan.T_world_sensor, local).astype(np.float32)
     labels = np.append(scan.labels, np.full(len(added), Label.UNLABELLED, np.uint8))
-    return dataclasses.replace(scan, points=np.concatenate([scan.points, added]), labels=labels, origins=None)
+    return dataclasses.replace(
+        scan, points=np.concatenate([scan.points, added]), labels=labels, origins=None
+    )
 
 
 def test_what_moves_with_the_sensor_is_its_carrier() -> None:
@@ -45,9 +50,14 @@ def test_a_standing_sensor_has_no_carrier() -> None:
 
 
 def test_who_keeps_step_with_the_sensor_is_no_carrier(monkeypatch: pytest.MonkeyPatch) -> None:
-    body = np.stack(np.meshgrid([-1.5], np.linspace(-0.2, 0.2, 9), np.linspace(-0.4, 0.3, 15)), -1).reshape(-1, 3)
+    body = np.stack(
+        np.meshgrid([-1.5], np.linspace(-0.2, 0.2, 9), np.linspace(-0.4, 0.3, 15)), -1
+    ).reshape(-1, 3)
     steps = 0.08 * np.sin(np.arange(len(SCANS)))  # metres, so that it never leaves its cubes
-    followed = [with_points(scan, body + np.array([step, 0, 0])) for scan, step in zip(SCANS, steps, strict=True)]
+    followed = [
+        with_points(scan, body + np.array([step, 0, 0]))
+        for scan, step in zip(SCANS, steps, strict=True)
+    ]
     assert estimate_carrier(InMemory(followed)) == ()
     monkeypatch.setattr("dynaviz.sources.carrier.RIGID", np.inf)
     assert estimate_carrier(InMemory(followed)) != ()
@@ -66,7 +76,10 @@ def test_points_at_the_sensor_change_no_other_label(tmp_path: Path) -> None:
     for before, after in zip(plain.labels, result.labels, strict=True):
         np.testing.assert_array_equal(after[: len(before)], before)
         assert not after[len(before) :].any()
-    minimum = InMemory([with_points(scan, near) for scan in SCANS], sensor=dataclasses.replace(SENSOR, min_range=0.6))
+    minimum = InMemory(
+        [with_points(scan, near) for scan in SCANS],
+        sensor=dataclasses.replace(SENSOR, min_range=0.6),
+    )
     assert dv.run("dufomap", minimum, record="none").sequence.at_sensor == len(SCANS) * len(near)
 
 

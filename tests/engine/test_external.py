@@ -29,7 +29,10 @@ def save(path: Path, points: np.ndarray) -> Path:
 
 def cloud(sequence: InMemory) -> tuple[np.ndarray, np.ndarray]:
     """All points, and all labels."""
-    return tuple(np.concatenate([getattr(scan, name) for scan in sequence.scans]) for name in ("points", "labels"))  # type: ignore[return-value]
+    return tuple(
+        np.concatenate([getattr(scan, name) for scan in sequence.scans])
+        for name in ("points", "labels")
+    )  # type: ignore[return-value]
 
 
 def counts(removed: np.ndarray, labels: np.ndarray) -> dict[str, int]:
@@ -42,24 +45,37 @@ def counts(removed: np.ndarray, labels: np.ndarray) -> dict[str, int]:
     }
 
 
-@settings(deadline=None, max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(st.integers(0, 99), st.sampled_from([0.0, 0.05, 0.3, 2.0]), st.booleans())
-def test_every_point_as_by_brute_force(tmp_path: Path, seed: int, radius: float, on_lattice: bool) -> None:
-    """In float32, as the public benchmark's export computes; on a lattice, many distances are the radius itself."""
+def test_every_point_as_by_brute_force(
+    tmp_path: Path, seed: int, radius: float, on_lattice: bool
+) -> None:
+    """In float32, as the public benchmark's export computes.
+
+    On a lattice, many distances are the radius itself.
+    """
     random, sequence = np.random.default_rng(seed), room(frames=3, rays=200, seed=seed)
     points, labels = cloud(sequence)
     if on_lattice:
         points = (np.round(points / 0.05) * np.float32(0.05)).astype(np.float32)
-        sequence = InMemory([replace(s, points=p) for s, p in zip(sequence.scans, np.split(points, 3), strict=True)])
+        sequence = InMemory(
+            [replace(s, points=p) for s, p in zip(sequence.scans, np.split(points, 3), strict=True)]
+        )
     kept = points[random.random(len(points)) < 0.5]
     d = points[:, None] - kept[None]
-    nearest = np.sqrt((d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1] + d[..., 2] * d[..., 2]).min(1))
+    nearest = np.sqrt(
+        (d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1] + d[..., 2] * d[..., 2]).min(1)
+    )
     result = dv.score(save(tmp_path / "map.pcd", kept), sequence, radius=radius)
     assert result.counts == counts(nearest > np.float32(radius), labels)
     assert (result.scoring, result.method, result.parameters) == ("nn", "map", {"radius": radius})
 
 
-def test_every_point_as_by_a_kd_tree_in_double_precision(little_room: InMemory, tmp_path: Path) -> None:
+def test_every_point_as_by_a_kd_tree_in_double_precision(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     points, _ = cloud(little_room)
     kept = points[np.random.default_rng(1).random(len(points)) < 0.2] + np.float32(0.01)
     dv.score(save(tmp_path / "map.pcd", kept), little_room, out=tmp_path / "out", record="none")
@@ -73,7 +89,9 @@ def test_every_point_as_by_a_kd_tree_in_double_precision(little_room: InMemory, 
     assert ((reasons == "near_kept_point") == ~removed).all()
 
 
-def test_the_map_of_a_run_is_scored_as_the_run_but_within_the_radius(little_room: InMemory, tmp_path: Path) -> None:
+def test_the_map_of_a_run_is_scored_as_the_run_but_within_the_radius(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     points, labels = cloud(little_room)
     run = dv.run("octomap", little_room, out=tmp_path / "run", record="none")
     with np.load(tmp_path / "run/labels.npz") as z:
@@ -88,7 +106,11 @@ def test_the_map_of_a_run_is_scored_as_the_run_but_within_the_radius(little_room
 def test_labels_of_a_run_are_scored_as_the_run(little_room: InMemory, tmp_path: Path) -> None:
     run = dv.run("octomap", little_room, out=tmp_path, record="none")
     again = dv.score(tmp_path / "labels.npz", little_room, name="again")
-    assert (again.method, again.scoring, again.labels_sha256) == ("again", "mask", run.labels_sha256)
+    assert (again.method, again.scoring, again.labels_sha256) == (
+        "again",
+        "mask",
+        run.labels_sha256,
+    )
     assert again.sequence == run.sequence
     for section in ("counts", "metrics", "error_distance", "breakdown", "voxelwise"):
         assert getattr(again.sections, section) == getattr(run.sections, section)
@@ -98,7 +120,9 @@ def test_labels_of_a_run_are_scored_as_the_run(little_room: InMemory, tmp_path: 
 def test_labels_of_another_sequence_are_rejected(little_room: InMemory, tmp_path: Path) -> None:
     dv.run("octomap", little_room, out=tmp_path, record="none")
     for other in (select_frames(little_room, "1:"), room(seed=1)):
-        with pytest.raises(DataError, match=r"labels\.npz: is from a different sequence.*the same frames"):
+        with pytest.raises(
+            DataError, match=r"labels\.npz: is from a different sequence.*the same frames"
+        ):
             dv.score(tmp_path / "labels.npz", other, out=tmp_path / "out")
         assert not list((tmp_path / "out").glob("*.*")), "nothing is written"
 
@@ -133,7 +157,10 @@ def test_the_runtime_of_another_program_is_unknown(little_room: InMemory, tmp_pa
     assert "erasor_output" in str(result)
     assert not (tmp_path / "out/config.toml").exists()
     source = result.sections.source
-    assert (source.file, source.sha256) == (path.name, hashlib.sha256(path.read_bytes()).hexdigest())
+    assert (source.file, source.sha256) == (
+        path.name,
+        hashlib.sha256(path.read_bytes()).hexdigest(),
+    )
     saved = json.loads((tmp_path / "out/result.json").read_text())
     assert (saved["scoring"], saved["source"]) == ("nn", json.loads(msgspec.json.encode(source)))
 
@@ -159,10 +186,15 @@ def test_points_without_coordinates_are_kept(tmp_path: Path) -> None:
     assert result.sections.reasons.static_kept == {"not_finite": 2, "near_kept_point": 1}
 
 
-def test_points_of_the_map_that_are_not_finite_are_ignored(little_room: InMemory, tmp_path: Path) -> None:
+def test_points_of_the_map_that_are_not_finite_are_ignored(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     points, _ = cloud(little_room)
     expected = dv.score(save(tmp_path / "map.pcd", points[:900]), little_room)
-    save(tmp_path / "map.pcd", np.concatenate([points[:900], np.full((100, 3), np.nan), [[np.inf, 0, 0]]]))
+    save(
+        tmp_path / "map.pcd",
+        np.concatenate([points[:900], np.full((100, 3), np.nan), [[np.inf, 0, 0]]]),
+    )
     with pytest.warns(UserWarning, match=r"map\.pcd: 101 of 1,001 points are not finite"):
         result = dv.score(tmp_path / "map.pcd", little_room)
     assert result.counts == expected.counts
@@ -175,7 +207,9 @@ def test_a_map_in_another_frame_raises_a_warning(
 ) -> None:
     points, labels = cloud(little_room)
     path = save(tmp_path / "map.pcd", points.astype(np.float64) * scale + shift)
-    with pytest.warns(UserWarning, match=r"only 0(\.\d+)? % of the static points .* another frame\. The map spans"):
+    with pytest.warns(
+        UserWarning, match=r"only 0(\.\d+)? % of the static points .* another frame\. The map spans"
+    ):
         result = dv.score(path, little_room)
     assert result.counts["dynamic_kept"] <= 1
     assert len(result.sections.source.remarks) == 1
@@ -195,7 +229,9 @@ def test_voxels_are_kept_by_points_of_the_map_itself(little_room: InMemory, tmp_
     result = dv.score(save(tmp_path / "map.pcd", (voxels + 0.5) / 5), little_room)
     assert result.metrics["SA"] < 50
     assert (result.sections.voxelwise.PR, result.sections.voxelwise.RR) == (100, 100)
-    half = dv.score(save(tmp_path / "map.pcd", (voxels[::2] + 0.5) / 5), little_room).sections.voxelwise
+    half = dv.score(
+        save(tmp_path / "map.pcd", (voxels[::2] + 0.5) / 5), little_room
+    ).sections.voxelwise
     assert (half.static, half.static_kept) == (len(voxels), len(voxels[::2]))
 
 
@@ -206,7 +242,9 @@ def test_an_empty_map_is_rejected(little_room: InMemory, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("radius", [-0.1, np.inf, np.nan])
-def test_an_invalid_radius_is_rejected(little_room: InMemory, tmp_path: Path, radius: float) -> None:
+def test_an_invalid_radius_is_rejected(
+    little_room: InMemory, tmp_path: Path, radius: float
+) -> None:
     with pytest.raises(UsageError, match="radius = "):
         dv.score(save(tmp_path / "map.pcd", np.zeros((1, 3))), little_room, radius=radius)
 
@@ -241,7 +279,9 @@ def test_a_score_does_not_overwrite_its_map(little_room: InMemory, tmp_path: Pat
         ("frames", np.array([0, 1, 99]), "has no labels for frame"),
     ],
 )
-def test_labels_with_damaged_arrays(tmp_path: Path, name: str, value: np.ndarray, problem: str) -> None:
+def test_labels_with_damaged_arrays(
+    tmp_path: Path, name: str, value: np.ndarray, problem: str
+) -> None:
     sequence = room(3, 20)
     dv.run("octomap", sequence, out=tmp_path, record="none")
     with np.load(tmp_path / "labels.npz") as z:

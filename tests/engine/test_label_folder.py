@@ -41,7 +41,11 @@ def rewritten(run: Path, folder: Path, suffix: str) -> Path:
         if suffix == ".npy":
             np.save(folder / f"{file.stem}.npy", moving)
         elif suffix == ".npz":
-            np.savez(folder / f"{file.stem}.npz", moving=moving.astype(np.uint8), points=np.zeros((len(moving), 3)))
+            np.savez(
+                folder / f"{file.stem}.npz",
+                moving=moving.astype(np.uint8),
+                points=np.zeros((len(moving), 3)),
+            )
         else:
             moving.astype("<u4").tofile(folder / f"{file.stem}.label")
     return folder
@@ -55,9 +59,15 @@ def removed(run: tuple[Path, Result], scan: Scan) -> np.ndarray:
 def test_labels_of_a_run_are_scored_as_the_run(
     run: tuple[Path, Result], sequence: InMemory, tmp_path: Path, how: str
 ) -> None:
-    folder = run[0] / "predictions" if how == "9 and 251" else rewritten(run[0], tmp_path / "mos", how)
+    folder = (
+        run[0] / "predictions" if how == "9 and 251" else rewritten(run[0], tmp_path / "mos", how)
+    )
     scored = dv.score(folder, sequence, key="moving" if how == ".npz" else None, name="again")
-    assert (scored.method, scored.scoring, scored.labels_sha256) == ("again", "mask", run[1].labels_sha256)
+    assert (scored.method, scored.scoring, scored.labels_sha256) == (
+        "again",
+        "mask",
+        run[1].labels_sha256,
+    )
     assert scored.sequence == run[1].sequence
     for section in ("counts", "metrics", "error_distance", "voxelwise"):
         assert getattr(scored.sections, section) == getattr(run[1].sections, section)
@@ -70,12 +80,17 @@ def test_labels_of_a_run_are_scored_as_the_run(
 
 
 def test_frames_without_a_file_are_not_scored(
-    run: tuple[Path, Result], sequence: InMemory, run_command: Callable[..., tuple[int, str, str]], tmp_path: Path
+    run: tuple[Path, Result],
+    sequence: InMemory,
+    run_command: Callable[..., tuple[int, str, str]],
+    tmp_path: Path,
 ) -> None:
     folder = rewritten(run[0], tmp_path / "mos", ".npy")
     (folder / "000010.npy").unlink()
     (folder / "000013.npy").unlink()
-    with pytest.warns(UserWarning, match=r"mos: has no labels for 2 of 5 frames \(10, 13\); .* not scored"):
+    with pytest.warns(
+        UserWarning, match=r"mos: has no labels for 2 of 5 frames \(10, 13\); .* not scored"
+    ):
         result = dv.score(folder, sequence, out=tmp_path / "out", record="none")
     answered = [scan for scan in sequence.scans if scan.index not in (10, 13)]
     moving, truth = (
@@ -92,11 +107,16 @@ def test_frames_without_a_file_are_not_scored(
     }
     source = Result.load(tmp_path / "out/result.json").sections.source
     assert (source.unanswered_frames, source.unanswered_points) == ((0, 3), 2006)
-    digests = [hashlib.sha256((folder / f"{scan.index:06d}.npy").read_bytes()).hexdigest() for scan in answered]
+    digests = [
+        hashlib.sha256((folder / f"{scan.index:06d}.npy").read_bytes()).hexdigest()
+        for scan in answered
+    ]
     assert source.sha256 == hashlib.sha256("".join(digests).encode()).hexdigest()
     assert run_command("report", tmp_path / "out", "-o", tmp_path / "report.md")[0] == 0
     assert "mos on room: 2 of 5 frames have no labels" in (tmp_path / "report.md").read_text()
-    with pytest.warns(UserWarning, match="2 of 5 frames"):  # the files of that run remember what was not answered
+    with pytest.warns(
+        UserWarning, match="2 of 5 frames"
+    ):  # the files of that run remember what was not answered
         again = dv.score(tmp_path / "out", sequence)
     assert again.counts == result.counts
 
@@ -119,7 +139,9 @@ def test_a_comparison_leaves_unanswered_frames_out(
     assert not pair.right.static.only_first
 
 
-def test_folders_as_programs_write_them(run: tuple[Path, Result], sequence: InMemory, tmp_path: Path) -> None:
+def test_folders_as_programs_write_them(
+    run: tuple[Path, Result], sequence: InMemory, tmp_path: Path
+) -> None:
     expected = run[1].counts
     files = run[0] / "predictions"
     (tmp_path / "mapmos/bin/sequences/08").mkdir(parents=True)
@@ -128,7 +150,9 @@ def test_folders_as_programs_write_them(run: tuple[Path, Result], sequence: InMe
         scored = dv.score(tmp_path / "mapmos" / below, sequence)
         assert (scored.counts, scored.method) == (expected, "mapmos")
     shutil.copytree(files, tmp_path / "mapmos/bin/sequences/21/predictions")
-    with pytest.raises(DataError, match=r"several folders with labels: sequences/08/predictions, sequences/21/pred"):
+    with pytest.raises(
+        DataError, match=r"several folders with labels: sequences/08/predictions, sequences/21/pred"
+    ):
         dv.score(tmp_path / "mapmos/bin", sequence)
     named = InMemory(sequence.scans, "semantickitti_08", sequence.sensor)
     assert dv.score(tmp_path / "mapmos/bin", named).counts == expected
@@ -153,10 +177,14 @@ def rename(folder: Path) -> None:
     [
         (remove_all, r"mos: contains no label files\. Give a folder with"),
         (rename, r"mos: labels the frames 910 to 914, but room has the frames 10 to 14"),
-        (lambda folder: (folder / "12.npy").touch(), r"12\.npy: labels the same frame as 000012\.label"),
+        (
+            lambda folder: (folder / "12.npy").touch(),
+            r"12\.npy: labels the same frame as 000012\.label",
+        ),
         (
             lambda folder: np.zeros(1000, "<u4").tofile(folder / "000012.label"),
-            r"000012\.label: has 1,000 labels, but the scan has 1,003 points\. Write a label for each point",
+            r"000012\.label: has 1,000 labels, but the scan has 1,003 points\. Write a label for "
+            r"each point",
         ),
     ],
 )
@@ -174,7 +202,9 @@ def test_mistakes_are_reported_and_nothing_is_written(
     assert not list((tmp_path / "out").glob("*.*"))
 
 
-def test_a_run_does_not_overwrite_what_it_scores(run: tuple[Path, Result], sequence: InMemory, tmp_path: Path) -> None:
+def test_a_run_does_not_overwrite_what_it_scores(
+    run: tuple[Path, Result], sequence: InMemory, tmp_path: Path
+) -> None:
     folder = rewritten(run[0], tmp_path / "mos", ".label")
     for scored, out in ((folder, folder), (run[0], run[0])):
         with pytest.raises(UsageError, match="would overwrite"):

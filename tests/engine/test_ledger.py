@@ -1,4 +1,7 @@
-"""The ledger of a point: what each scan contributed, and the rules that decided; checked by hand and by geometry."""
+"""The ledger of a point: what each scan contributed, and the rules that decided.
+
+Checked by hand and by geometry.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,12 @@ class NoParams:
 class PassedOnce:
     """Removes all points if any scan had a point beyond x = 3, or the last scan one below x = 1."""
 
-    info = MethodInfo("passed_once", "Passed once", "none", (Reason("kept", "kept: no"), Reason("gone", "removed: so")))
+    info = MethodInfo(
+        "passed_once",
+        "Passed once",
+        "none",
+        (Reason("kept", "kept: no"), Reason("gone", "removed: so")),
+    )
     Params = NoParams
     lie = False
 
@@ -55,7 +63,10 @@ class PassedOnce:
 
     def evidence(self, asked: Asked) -> Evidence:
         one = np.ones(len(asked.rows))
-        beyond = Term("latest", one * self.latest, ">", 3, "m"), Term("lowest", one * self.lowest, ">", 0, "m")
+        beyond = (
+            Term("latest", one * self.latest, ">", 3, "m"),
+            Term("lowest", one * self.lowest, ">", 0, "m"),
+        )
         far = Rule("far", beyond, lasting=True)
         low = Rule("low", (Term("lowest", one * self.lowest, "<", 1, "m"),))
         total = Quantity("farthest", one * self.farthest, "m", total=True)
@@ -68,10 +79,14 @@ def line(index: int, *xs: float) -> Scan:
     return Scan(index, points, pose(0.0, 0.5, 0.5), labels=np.zeros(len(xs), np.uint8))
 
 
-SCANS = InMemory([line(7, 2.5, 2.0), line(8, 3.5, 1.5), line(9, 2.25, 1.75), line(10, 2.75, 1.25)], "line")
+SCANS = InMemory(
+    [line(7, 2.5, 2.0), line(8, 3.5, 1.5), line(9, 2.25, 1.75), line(10, 2.75, 1.25)], "line"
+)
 
 
-def ledger(scans: InMemory, frame: int, *points: int, method: type = PassedOnce, online: bool = False) -> Any:
+def ledger(
+    scans: InMemory, frame: int, *points: int, method: type = PassedOnce, online: bool = False
+) -> Any:
     kept = Ledger({frame: points})
     execute(RunSpec(method(NoParams()), scans, NoParams(), online=online), [kept])
     return kept.ledgers[frame]
@@ -90,7 +105,12 @@ def test_entries_have_the_rays_the_changes_and_the_verdict_so_far() -> None:
         (2, 9, 1, 0, True),
         (3, 10, 1, 0, True),
     ]
-    assert [dict(e.changes) for e in found.entries] == [{"farthest": 2.5}, {"farthest": 1.0}, {}, {}]
+    assert [dict(e.changes) for e in found.entries] == [
+        {"farthest": 2.5},
+        {"farthest": 1.0},
+        {},
+        {},
+    ]
     assert [e.range_m for e in found.entries] == [2.5] * 4
     assert [e.behind_m for e in found.entries] == [None, 1.0, None, None]
     assert [e.holds for e in found.entries] == [(), ("far",), (), ()]
@@ -100,7 +120,11 @@ def test_a_lasting_rule_keeps_the_numbers_of_the_scan_that_fulfilled_it() -> Non
     (found,) = ledger(SCANS, 2, 0)
     far, low = found.rules
     assert (far.holds, far.frame, [t.value for t in far.terms]) == (True, 1, [3.5, 1.5])
-    assert (low.holds, low.frame, [(t.value, t.holds) for t in low.terms]) == (False, None, [(1.25, False)])
+    assert (low.holds, low.frame, [(t.value, t.holds) for t in low.terms]) == (
+        False,
+        None,
+        [(1.25, False)],
+    )
 
 
 def test_online_the_ledger_ends_with_the_frame_of_the_point() -> None:
@@ -121,7 +145,9 @@ def test_a_wall_has_an_angle() -> None:
 
 
 def test_evidence_that_contradicts_the_label_is_an_error() -> None:
-    with pytest.raises(PluginError, match="passed_once: its evidence contradicts the label of point 1 of frame 3"):
+    with pytest.raises(
+        PluginError, match="passed_once: its evidence contradicts the label of point 1 of frame 3"
+    ):
         ledger(SCANS, 3, 1, method=type("Liar", (PassedOnce,), {"lie": True}))
 
 
@@ -142,7 +168,9 @@ def test_the_log_odds_of_octomap_are_its_hits_and_misses() -> None:
         assert answer.ledger.verdict == answer.ledger.removed
         for entry in answer.ledger.entries:
             before = entry.values["log-odds"] - entry.changes.get("log-odds", 0.0)
-            expected = min(before + MISS * (entry.crossed > 0) + HIT * (entry.hits > 0), np.log(0.97 / 0.03))
+            expected = min(
+                before + MISS * (entry.crossed > 0) + HIT * (entry.hits > 0), np.log(0.97 / 0.03)
+            )
             assert entry.values["log-odds"] == pytest.approx(expected, abs=1e-5)
             steps += 1
     assert steps > 50
@@ -161,7 +189,8 @@ def test_replaying_only_what_the_points_need_gives_the_ledgers_of_a_whole_run(na
 
 
 @pytest.mark.parametrize(
-    ("name", "online"), [("seethrough", False), ("erasor", False), ("dynablox", False), ("removert", True)]
+    ("name", "online"),
+    [("seethrough", False), ("erasor", False), ("dynablox", False), ("removert", True)],
 )
 def test_methods_that_decide_in_different_places_explain_a_run(name: str, online: bool) -> None:
     scans = room(frames=4, rays=300)
@@ -180,7 +209,12 @@ def test_a_different_sequence_is_an_error() -> None:
         why(result, 0, 0, sequence=room(frames=3, rays=300))
     assert why(result, 0, 0).ledger.searched == 2  # its sequence is still in memory
     loaded = Result.from_dict(result.to_dict(), "result.json")
-    with pytest.raises(UsageError, match=r"from data in memory, which only the process .* dynaviz.explore\(result\)"):
+    with pytest.raises(
+        UsageError,
+        match=r"from data in memory, which only the process .* dynaviz.explore\(result\)",
+    ):
         why(loaded, 0, 0)
-    with pytest.raises(UsageError, match=r"does not state where its sequence came from\. Give the sequence"):
+    with pytest.raises(
+        UsageError, match=r"does not state where its sequence came from\. Give the sequence"
+    ):
         why(replace(loaded, origin=None), 0, 0)

@@ -114,13 +114,23 @@ def test_callbacks_are_called_in_order(little_room: InMemory) -> None:
     diary = Diary()
     execute(a_run(little_room, online=True), [diary])
     n = len(little_room[0])
-    assert diary.said[:4] == [("begin", 6 * n), ("observing", 0, 10), ("observed", 0), ("labelled", 0, {"points": n})]
+    assert diary.said[:4] == [
+        ("begin", 6 * n),
+        ("observing", 0, 10),
+        ("observed", 0),
+        ("labelled", 0, {"points": n}),
+    ]
     assert diary.said[-1] == ("finish", {"total": 6 * n})
 
 
 def test_the_result_describes_the_run(little_room: InMemory) -> None:
     result = execute(a_run(little_room, seed=3, command="typed"))
-    assert (result.method, result.parameters, result.seed, result.command) == ("above", {"height": 0.5}, 3, "typed")
+    assert (result.method, result.parameters, result.seed, result.command) == (
+        "above",
+        {"height": 0.5},
+        3,
+        "typed",
+    )
     assert result.sequence.frames == result.runtime.frames == 6
     assert result.sections.plain() == {"total": result.sequence.points}
     assert not result.instrumented
@@ -143,7 +153,9 @@ def test_the_result_describes_the_run(little_room: InMemory) -> None:
 def test_labels_of_the_wrong_type_or_shape_are_rejected(little_room: InMemory, answer: Any) -> None:
     run = a_run(little_room)
     run.labeller.label = lambda scan: answer(len(scan))  # type: ignore[method-assign]
-    with pytest.raises(PluginError, match=r"above: label\(\) returned .*, not (dynaviz.*Labels|bool |uint8 )"):
+    with pytest.raises(
+        PluginError, match=r"above: label\(\) returned .*, not (dynaviz.*Labels|bool |uint8 )"
+    ):
         execute(run)
 
 
@@ -159,14 +171,18 @@ def test_a_method_that_needs_the_map_gets_all_points(little_room: InMemory) -> N
 
     run = a_run(little_room, labeller=Offline(AboveParams()))
     execute(run)
-    np.testing.assert_array_equal(run.labeller.context.raw_map, np.concatenate([s.points for s in little_room.scans]))
+    np.testing.assert_array_equal(
+        run.labeller.context.raw_map, np.concatenate([s.points for s in little_room.scans])
+    )
     plain = a_run(little_room)
     execute(plain)
     assert plain.labeller.context.raw_map is None
     assert plain.labeller.context.probe is SILENT
 
 
-def test_an_error_while_reading_ends_the_run_and_leaves_no_file(little_room: InMemory, tmp_path: Path) -> None:
+def test_an_error_while_reading_ends_the_run_and_leaves_no_file(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     class Torn(InMemory):
         reads = 0
 
@@ -176,7 +192,11 @@ def test_an_error_while_reading_ends_the_run_and_leaves_no_file(little_room: InM
                 raise RuntimeError("torn")
             return super().__getitem__(position)
 
-    with pytest.raises(RuntimeError, match="torn"), LabelsFile(tmp_path) as labels, MapFiles(tmp_path) as maps:
+    with (
+        pytest.raises(RuntimeError, match="torn"),
+        LabelsFile(tmp_path) as labels,
+        MapFiles(tmp_path) as maps,
+    ):
         execute(a_run(Torn(little_room.scans)), [labels, maps])
     assert list(tmp_path.iterdir()) == []
     assert not [t for t in threading.enumerate() if t.name == "read-ahead"]
@@ -195,16 +215,24 @@ def test_the_files_contain_the_labels(little_room: InMemory, tmp_path: Path) -> 
         assert z["reason_names"].tolist() == ["low", "high", "at_sensor"]
         assert z["frames"].tolist() == [10, 11, 12, 13, 14, 15]
         assert str(z["sequence_digest"]) == result.sequence.digest
-        assert str(z["labels_sha256"]) == result.labels_sha256 == hashlib.sha256(z["dynamic"].tobytes()).hexdigest()
+        assert (
+            str(z["labels_sha256"])
+            == result.labels_sha256
+            == hashlib.sha256(z["dynamic"].tobytes()).hexdigest()
+        )
     np.testing.assert_array_equal(read_pcd(tmp_path / "static_map.pcd").xyz, everything[~expected])
-    np.testing.assert_array_equal(read_pcd(tmp_path / "dynamic_points.pcd").xyz, everything[expected])
+    np.testing.assert_array_equal(
+        read_pcd(tmp_path / "dynamic_points.pcd").xyz, everything[expected]
+    )
 
 
 def test_outcomes_cross_truth_and_answer(little_room: InMemory) -> None:
     scan = little_room[2]
     labelled = Labelled.of(0, scan, np.ones(len(scan), bool), np.zeros(len(scan), np.uint8))
     assert set(labelled.outcome) == {Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE}
-    blind = Labelled.of(0, scan.without_truth(), np.zeros(len(scan), bool), np.zeros(len(scan), np.uint8))
+    blind = Labelled.of(
+        0, scan.without_truth(), np.zeros(len(scan), bool), np.zeros(len(scan), np.uint8)
+    )
     assert set(blind.outcome) == {Outcome.UNLABELLED_KEPT}
 
 

@@ -56,7 +56,9 @@ def test_a_sequence_of_empty_scans_has_a_summary() -> None:
 
 @pytest.mark.parametrize("far", [5.4e6, -1e30])
 def test_points_too_far_from_the_origin_are_rejected(far: float) -> None:
-    with pytest.raises(DynavizError, match=r"frame 3: a point or sensor position is .* km from the world's origin"):
+    with pytest.raises(
+        DynavizError, match=r"frame 3: a point or sensor position is .* km from the world's origin"
+    ):
         Extent.of(Scan(3, np.array([[0, far, 0]], np.float32), np.eye(4)))
 
 
@@ -72,7 +74,11 @@ def other(scan: Scan, **changes: Any) -> Scan:
     "change",
     [
         lambda scan: other(scan, points=np.nextafter(scan.points, np.float32(100))),
-        lambda scan: other(scan, T_world_sensor=scan.T_world_sensor + np.diag([0, 0, 1e-12, 0]), origins=scan.origins),
+        lambda scan: other(
+            scan,
+            T_world_sensor=scan.T_world_sensor + np.diag([0, 0, 1e-12, 0]),
+            origins=scan.origins,
+        ),
         lambda scan: other(scan, origins=scan.origins + 1e-12),
         lambda scan: other(scan, labels=1 - scan.labels),
         lambda scan: other(scan, labels=None),
@@ -82,29 +88,45 @@ def other(scan: Scan, **changes: Any) -> Scan:
 )
 def test_any_other_content_has_another_digest(change: Any) -> None:
     sequence = room(frames=2)
-    assert summarize(InMemory([sequence[0], change(sequence[1])])).digest != summarize(sequence).digest
+    assert (
+        summarize(InMemory([sequence[0], change(sequence[1])])).digest != summarize(sequence).digest
+    )
 
 
 def test_a_point_cannot_move_from_one_frame_to_the_next_unseen() -> None:
     scan = room(frames=1)[0]
 
     def cut(at: int) -> InMemory:
-        return InMemory([Scan(k, rows, np.eye(4)) for k, rows in enumerate((scan.points[:at], scan.points[at:]))])
+        return InMemory(
+            [
+                Scan(k, rows, np.eye(4))
+                for k, rows in enumerate((scan.points[:at], scan.points[at:]))
+            ]
+        )
 
     assert summarize(cut(10)).digest != summarize(cut(11)).digest
 
 
-@pytest.mark.parametrize(("around", "axes"), [(0.0, (0, 1, 2)), (0.3, (0, 1, 2)), (0.9, (0, 1, 2)), (3.2, (2,))])
-def test_extents_know_the_parts_of_cells_that_contain_points_and_grow_by_parts(around, axes) -> None:
+@pytest.mark.parametrize(
+    ("around", "axes"), [(0.0, (0, 1, 2)), (0.3, (0, 1, 2)), (0.9, (0, 1, 2)), (3.2, (2,))]
+)
+def test_extents_know_the_parts_of_cells_that_contain_points_and_grow_by_parts(
+    around, axes
+) -> None:
     points = np.random.default_rng(0).normal(0, 4, (100, 3)).astype(np.float32)
     size = CELL / PARTS
-    farther = [range(-m, m + 1) for m in (math.ceil(around / size) if axis in axes else 0 for axis in range(3))]
+    farther = [
+        range(-m, m + 1)
+        for m in (math.ceil(around / size) if axis in axes else 0 for axis in range(3))
+    ]
     index = np.floor(points.astype(np.float64) / size).astype(np.int64)
     expected = {tuple(place) for shift in product(*farther) for place in (index + shift).tolist()}
 
     extent = Extent.of(Scan(0, points, np.eye(4))).widened(around, axes)
 
-    cell, bit = np.nonzero(extent.parts[:, None] >> np.arange(PARTS**3, dtype=np.uint64) & np.uint64(1))
+    cell, bit = np.nonzero(
+        extent.parts[:, None] >> np.arange(PARTS**3, dtype=np.uint64) & np.uint64(1)
+    )
     part = np.stack(np.unravel_index(bit, (PARTS,) * 3), 1)
     assert {tuple(place) for place in (PARTS * extent.cells[cell] + part).tolist()} == expected
     assert len(extent.cells) == len(np.unique(extent.cells, axis=0))

@@ -16,7 +16,12 @@ from dynaviz.reports.reporting import Study
 from dynaviz.scores.collect import collect
 from dynaviz.scores.result import Result
 
-INFO = MethodInfo("m", "M", "none", (Reason("seen_free", "a ray went through"), Reason("never_seen", "no ray did")))
+INFO = MethodInfo(
+    "m",
+    "M",
+    "none",
+    (Reason("seen_free", "a ray went through"), Reason("never_seen", "no ray did")),
+)
 
 
 @pytest.fixture
@@ -50,7 +55,12 @@ def study(tmp_path: Path) -> Callable[..., Study]:
         for number, each in enumerate(results):
             each.save(tmp_path / f"{number:02}" / "result.json")
         for method in failed:
-            facts = {"method": method, "sequence": "hall", "variant": "v_1", "error": "no <memory> & 100 % | lost"}
+            facts = {
+                "method": method,
+                "sequence": "hall",
+                "variant": "v_1",
+                "error": "no <memory> & 100 % | lost",
+            }
             (tmp_path / method).mkdir()
             (tmp_path / method / "error.json").write_text(json.dumps(facts))
         return Study(collect([tmp_path]), tmp_path)

@@ -80,7 +80,9 @@ def test_a_method_cannot_declare_at_which_angle_rays_met_a_surface():
 def test_shape_and_motion_only_refine_causes_of_visibility(kind):
     looks = {"frames": 20, "touching": 100, "cells": 100, "surface": 100, "grazed": 100}
     assert cause(kind, 4, **looks) is Cause.HEIGHT_LIMIT
-    assert cause(kind, 5, **looks) is cause(kind, len(REASONS), **looks) is None  # the last code has no reason
+    assert (
+        cause(kind, 5, **looks) is cause(kind, len(REASONS), **looks) is None
+    )  # the last code has no reason
 
 
 def test_the_cause_of_most_points_wins_over_the_most_frequent_reason():
@@ -132,14 +134,22 @@ def sentence_of(**values) -> str:
 
 def test_sentences_state_what_the_object_did_and_what_the_method_did():
     did = "Rays crossed it, but hits outweigh misses."
-    assert sentence_of() == f"Kept: car 12, 2 frames, 3 to 8 m away, stood still until the end. {did}"
+    assert (
+        sentence_of() == f"Kept: car 12, 2 frames, 3 to 8 m away, stood still until the end. {did}"
+    )
     one = sentence_of(frames=1, instance=None)
     assert one == f"Kept: car, 1 frame, 3 to 8 m away, stood still until the end. {did}"
-    assert sentence_of(behaviour="far away") == f"Kept: car 12, 2 frames, far away (3 to 8 m). {did}"
+    assert (
+        sentence_of(behaviour="far away") == f"Kept: car 12, 2 frames, far away (3 to 8 m). {did}"
+    )
     assert sentence_of(behaviour=None) == f"Kept: car 12, 2 frames, 3 to 8 m away, moved 1 m. {did}"
-    assert sentence_of(behaviour=None, moved=0.9).startswith("Kept: car 12, 2 frames, 3 to 8 m away, moved less than")
+    assert sentence_of(behaviour=None, moved=0.9).startswith(
+        "Kept: car 12, 2 frames, 3 to 8 m away, moved less than"
+    )
     assert "frames, 3 m away, stood still" in sentence_of(range={"min": 3.2, "max": 3.4})
     removed = {"kind": "false_positive", "what": "ground", "instance": None}
     where = "Removed: ground, 2.0 x 1.0 x 0.5 m, 2 frames, 3 to 8 m away"
-    assert sentence_of(**removed, behaviour="always in view").startswith(f"{where}, always in view. Rays crossed")
+    assert sentence_of(**removed, behaviour="always in view").startswith(
+        f"{where}, always in view. Rays crossed"
+    )
     assert sentence_of(**removed, behaviour=None).startswith(f"{where}. Rays crossed")

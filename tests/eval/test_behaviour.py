@@ -11,7 +11,14 @@ from helpers.failure_cases import INFO, section
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan
 from dynaviz.scores.behaviour import Behaviour
-from dynaviz_eval.behaviour import Objects, VisitedPlaces, behaviour_of_object, behaviour_of_place, shift, standing
+from dynaviz_eval.behaviour import (
+    Objects,
+    VisitedPlaces,
+    behaviour_of_object,
+    behaviour_of_place,
+    shift,
+    standing,
+)
 from dynaviz_eval.cases import Cases, summed
 from dynaviz_eval.failures import FailuresMetric
 
@@ -100,7 +107,9 @@ def test_places_remember_when_their_cells_were_hit():
         points = rng.uniform(-40, 40, (14_000, 3)).astype(np.float32)
         points[rng.choice(14_000, 50)] = np.nan
         points[0] = 1e9
-        for cell in set(map(tuple, np.floor(points[np.isfinite(points).all(1)][1:]).astype(int).tolist())):
+        for cell in set(
+            map(tuple, np.floor(points[np.isfinite(points).all(1)][1:]).astype(int).tolist())
+        ):
             first, _, frames = expected.get(cell, (frame, 0, 0))
             expected[cell] = first, frame, frames + 1
         places.add(frame, Scan(frame, points, np.eye(4)).points)
@@ -112,7 +121,9 @@ def test_places_remember_when_their_cells_were_hit():
 
 
 def scene(frame: int, car: float, caught: bool, instances: bool) -> Labelled:
-    """A road with a car of which the method removes everything or half, and a wall next to it from frame 30 on."""
+    """A road with a car of which the method removes everything or half, and a wall next to it from
+    frame 30 on.
+    """
     rng = np.random.default_rng(frame)
     road = rng.uniform([-10, -5, 0], [60, 5, 0.02], (3000, 3))
     body = rng.uniform([car, -1, 0.3], [car + 4, 1, 1.5], (200, 3))
@@ -120,7 +131,11 @@ def scene(frame: int, car: float, caught: bool, instances: bool) -> Labelled:
     labels = np.repeat([0, 1], [3000, 200])
     dynamic = labels == 1
     dynamic[3000:] = caught | (points[3000:, 0] > car + 2)
-    fields = {"classes": 10 * labels, "instances": 7 * labels, "class_names": {10: "car"}} if instances else {}
+    fields = (
+        {"classes": 10 * labels, "instances": 7 * labels, "class_names": {10: "car"}}
+        if instances
+        else {}
+    )
     scan = Scan(frame, points, np.eye(4), labels=labels.astype(np.uint8), **fields)
     return Labelled.of(frame, scan, dynamic, np.where(labels == 1, 1, 0).astype(np.uint8))
 
@@ -141,7 +156,10 @@ def test_an_object_touches_what_stands_next_to_it_but_not_the_road_or_a_bridge()
             rng = np.random.default_rng(frame)
             car = rng.uniform([2.0 * frame, 0, 0.3], [2.0 * frame + 1, 0.4, 1.5], (50, 3))
             wall = rng.uniform([-2, 0.5, low], [20, 0.9, high], (4000, 3))
-            points, labels = np.concatenate([car, wall]), np.repeat([1, 0], [50, 4000]).astype(np.uint8)
+            points, labels = (
+                np.concatenate([car, wall]),
+                np.repeat([1, 0], [50, 4000]).astype(np.uint8),
+            )
             scan = Scan(frame, points, np.eye(4), labels=labels)
             labelled = Labelled.of(frame, scan, np.zeros(4050, np.bool_), np.zeros(4050, np.uint8))
             objects.add(labelled, scan.points[:, 2])

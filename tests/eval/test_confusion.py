@@ -16,9 +16,13 @@ from dynaviz_eval.confusion import Confusion
 
 pytestmark = pytest.mark.boundscheck
 
-OUTCOMES = st.lists(st.sampled_from(list(Outcome)), max_size=60).map(lambda o: np.array(o, np.uint8))
+OUTCOMES = st.lists(st.sampled_from(list(Outcome)), max_size=60).map(
+    lambda o: np.array(o, np.uint8)
+)
 
-PAPER = {  # table "Quantitative comparison", KITTI 00, before rounding as the benchmark's scripts print it: SA, DA, AA
+# table "Quantitative comparison", KITTI 00, before rounding as the benchmark's scripts print it:
+# SA, DA, AA
+PAPER = {
     "Removert": (99.4361, 41.5313, 64.2628),
     "ERASOR": (66.7024, 98.5352, 81.0711),
     "OctoMap": (68.0501, 99.6937, 82.3660),
@@ -32,11 +36,15 @@ def test_AA_matches_the_paper(method):
     SA, DA, AA = PAPER[method]
     kept, removed = round(SA * 10_000), round(DA * 10_000)  # of a million each
     metrics = Counts(kept, 1_000_000 - kept, removed, 1_000_000 - removed).metrics()
-    assert [metrics[name] for name in ("SA", "DA", "AA")] == pytest.approx([SA, DA, AA], abs=1.01e-4)
+    assert [metrics[name] for name in ("SA", "DA", "AA")] == pytest.approx(
+        [SA, DA, AA], abs=1.01e-4
+    )
 
 
 def test_every_percentage_by_hand():
-    counts = Counts(static_kept=90, static_removed=10, dynamic_removed=30, dynamic_kept=20, unlabelled=7)
+    counts = Counts(
+        static_kept=90, static_removed=10, dynamic_removed=30, dynamic_kept=20, unlabelled=7
+    )
     assert counts.metrics() == {
         "SA": pytest.approx(90),
         "DA": pytest.approx(60),
@@ -54,7 +62,9 @@ def test_undefined_percentages_are_none():
     only_dynamic = Counts(dynamic_removed=3, dynamic_kept=1).metrics()
     assert only_dynamic["DA"] == 75
     assert only_dynamic["SA"] is only_dynamic["AA"] is only_dynamic["HA"] is None
-    assert Counts(static_kept=3, dynamic_kept=2).metrics()["precision"] is None  # nothing was removed
+    assert (
+        Counts(static_kept=3, dynamic_kept=2).metrics()["precision"] is None
+    )  # nothing was removed
     assert set(Counts(unlabelled=5).metrics().values()) == {None}
 
 
@@ -92,13 +102,17 @@ def test_counts_by_label_and_answer():
 
 def test_curves_are_per_frame_and_cumulative(info, make_labelled):
     metric = Confusion(info)
-    kept = metric.update(make_labelled(0, points=np.zeros((4, 3)), labels=[0, 0, 0, 1], dynamic=[False] * 3 + [True]))
+    kept = metric.update(
+        make_labelled(0, points=np.zeros((4, 3)), labels=[0, 0, 0, 1], dynamic=[False] * 3 + [True])
+    )
     assert (kept["SA/frame"], kept["DA/so_far"]) == (100, 100)
     lost = metric.update(make_labelled(1, points=np.zeros((1, 3)), labels=[0], dynamic=[True]))
     assert (lost["SA/frame"], lost["SA/so_far"]) == (0, 75)
     assert math.isnan(lost["DA/frame"])
     assert lost["DA/so_far"] == 100
-    assert set(lost) == {f"{n}/{w}" for n, w in itertools.product(("SA", "DA", "AA", "HA"), ("frame", "so_far"))}
+    assert set(lost) == {
+        f"{n}/{w}" for n, w in itertools.product(("SA", "DA", "AA", "HA"), ("frame", "so_far"))
+    }
 
 
 def test_sections_are_plain_json(info, make_labelled):

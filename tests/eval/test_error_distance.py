@@ -50,7 +50,9 @@ def test_distances_span_frames(info, make_labelled):
     assert (found["within_0.1"], found["within_0.3"], found["within_1.0"]) == (0, 0, 100)
     assert histograms["false_negative"].counts.tolist() == [found["histogram"], [0] * 40 + [0]]
     assert found["histogram"].index(1) == 10
-    assert section["false_positive"] == dict.fromkeys(section["false_positive"]) | {"count": 0}  # no true negative
+    assert section["false_positive"] == dict.fromkeys(section["false_positive"]) | {
+        "count": 0
+    }  # no true negative
 
 
 @pytest.mark.plain
@@ -68,11 +70,16 @@ def test_sections_equal_all_pairs_of_all_frames(info, make_labelled):
         assert found["count"] == len(expected)
         assert found["histogram"] == np.histogram(expected, EDGES)[0].tolist()
         assert len(found["histogram"]) == 41
-        assert found["p50"] == pytest.approx(np.quantile(expected, 0.5, method="inverted_cdf"), abs=2e-4)
+        assert found["p50"] == pytest.approx(
+            np.quantile(expected, 0.5, method="inverted_cdf"), abs=2e-4
+        )
         for metres in (0.1, 0.3, 1.0):
             assert found[f"within_{metres}"] == pytest.approx(100 * (expected < metres).mean())
         of_frame = np.repeat(range(3), [len(f.scan) for f in frames])[outcome == wrong]
-        assert histograms[kind].counts[2].tolist() == np.histogram(expected[of_frame == 2], EDGES)[0].tolist()
+        assert (
+            histograms[kind].counts[2].tolist()
+            == np.histogram(expected[of_frame == 2], EDGES)[0].tolist()
+        )
 
 
 @pytest.mark.parametrize("block", [20, 333])
@@ -101,7 +108,9 @@ def test_memory_depends_on_the_block_not_on_the_run():
 
 def test_distances_beyond_the_limit_are_only_counted(info, make_labelled):
     points = [[0, 0, 0], [1, 0, 0], [500, 0, 0]]
-    section, _ = run(info, make_labelled(0, points=points, labels=[1, 1, 1], dynamic=[True, False, False]))
+    section, _ = run(
+        info, make_labelled(0, points=points, labels=[1, 1, 1], dynamic=[True, False, False])
+    )
     found = section["false_negative"]
     assert found["p50"] == pytest.approx(1, abs=2e-4)
     assert found["p90"] is None  # beyond 2 m
@@ -122,13 +131,21 @@ def test_undefined_without_wrong_or_correct_points(info, make_labelled):
 
 def test_points_without_coordinates_have_no_distance(info, make_labelled):
     points = [[0, 0, 0], [0.1, 0, 0], [np.nan, 0, 0], [0, np.inf, 0]]
-    section, _ = run(info, make_labelled(0, points=points, labels=[1] * 4, dynamic=[True, False, False, False]))
+    section, _ = run(
+        info, make_labelled(0, points=points, labels=[1] * 4, dynamic=[True, False, False, False])
+    )
     assert section["false_negative"]["count"] == 1
 
 
 def test_percentiles_of_known_distances():
     fine = np.zeros(20_001, np.int64)
-    fine[[999, 1000, 9999, 20_000]] = 25, 25, 40, 10  # just under 0.1 m, 0.1 m, just under 1 m, beyond 2 m
+    # just under 0.1 m, 0.1 m, just under 1 m, beyond 2 m
+    fine[[999, 1000, 9999, 20_000]] = (
+        25,
+        25,
+        40,
+        10,
+    )
     found = summary(fine)
     assert (found["p10"], found["p50"], found["p90"]) == (0.1, 0.1001, 1.0)
     assert (found["within_0.1"], found["within_0.3"], found["within_1.0"]) == (25, 50, 90)
@@ -144,7 +161,9 @@ def open_files(folder):
     return [name for name in names if name.startswith(str(folder))]
 
 
-@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="open files are listed under /proc on Linux only")
+@pytest.mark.skipif(
+    not Path("/proc/self/fd").exists(), reason="open files are listed under /proc on Linux only"
+)
 @pytest.mark.parametrize("ending", ["finished", "deleted"])
 def test_temporary_files_are_deleted(info, make_labelled, ending, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

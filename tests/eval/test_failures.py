@@ -27,28 +27,46 @@ def cube(n: int = 50, seed: int = 0, x: float = 0.0) -> np.ndarray:
 
 
 def components(frames: list[np.ndarray]) -> list[frozenset[tuple[int, int]]]:
-    """Points (frame, number) joined where their cells touch and their frames are close: a graph of all pairs."""
+    """Points (frame, number) joined where their cells touch and their frames are close.
+
+    A graph of all pairs.
+    """
     where = [(f, i) for f, points in enumerate(frames) for i in range(len(points))]
     if not where:
         return []
     cells = np.floor(np.concatenate(frames) / EDGE)
     when = np.array([f for f, _ in where])
-    touch = (np.abs(cells[:, None] - cells[None]).max(-1) <= 1) & (np.abs(when[:, None] - when[None]) <= GAP)
+    touch = (np.abs(cells[:, None] - cells[None]).max(-1) <= 1) & (
+        np.abs(when[:, None] - when[None]) <= GAP
+    )
     _, label = connected_components(coo_array(touch), directed=False)
     return [frozenset(where[i] for i in np.flatnonzero(label == k)) for k in range(label.max() + 1)]
 
 
 @pytest.mark.plain
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10_000), n=st.integers(0, 40), frames=st.integers(1, 40), size=st.floats(1.0, 8.0))
+@given(
+    seed=st.integers(0, 10_000),
+    n=st.integers(0, 40),
+    frames=st.integers(1, 40),
+    size=st.floats(1.0, 8.0),
+)
 def test_cases_are_connected_components(seed, n, frames, size):
     rng = np.random.default_rng(seed)
-    scans = [rng.uniform(-size, size, (rng.integers(0, n + 1), 3)).astype(np.float32) for _ in range(frames)]
+    scans = [
+        rng.uniform(-size, size, (rng.integers(0, n + 1), 3)).astype(np.float32)
+        for _ in range(frames)
+    ]
     small = []
     cases = Cases(2, np.inf, small.append)
     for frame, points in enumerate(scans):
         m = len(points)
-        zeros = np.zeros(m, np.int64), np.zeros(m, np.uint8), np.zeros(m, np.float32), np.zeros(m, np.bool_)
+        zeros = (
+            np.zeros(m, np.int64),
+            np.zeros(m, np.uint8),
+            np.zeros(m, np.float32),
+            np.zeros(m, np.bool_),
+        )
         cases.add(FramePoints(frame, points, *zeros))
     cases.settle(frames + GAP)
     found = np.concatenate([some["points"] for some in (summed(cases.rows), *small)])
@@ -59,7 +77,9 @@ def test_memory_does_not_grow_with_frames():
     small, sizes = [], []
     rng, cases = np.random.default_rng(1), Cases(2, np.inf, small.append)
     for frame in range(600):
-        points = rng.uniform([frame - 40, -40, -40], [frame + 40, 40, 40], (60, 3)).astype(np.float32)
+        points = rng.uniform([frame - 40, -40, -40], [frame + 40, 40, 40], (60, 3)).astype(
+            np.float32
+        )
         none = np.zeros(60, np.int64)
         zeros = none, none.astype(np.uint8), np.zeros(60, np.float32), none.astype(np.bool_)
         cases.add(FramePoints(frame, points, *zeros))
@@ -89,9 +109,16 @@ def test_one_object_is_followed_through_its_frames():
     frames = [labelled(f, cube(seed=f, x=f), 1, False, 1) for f in range(12)]
     found = section(*frames)
     (case,) = found["cases"]
-    assert (case["kind"], case["points"], case["cost"], case["frames"]) == ("false_negative", 600, 100.0, 12)
+    assert (case["kind"], case["points"], case["cost"], case["frames"]) == (
+        "false_negative",
+        600,
+        100.0,
+        12,
+    )
     assert (case["first_frame"], case["last_frame"], case["worst_frame"]) == (0, 11, 0)
-    assert case["moved"] == pytest.approx(9.0, abs=0.3)  # from the first three frames to the last three
+    assert case["moved"] == pytest.approx(
+        9.0, abs=0.3
+    )  # from the first three frames to the last three
     assert case["cause"] == "nothing behind"
     assert (case["behaviour"], case["what"]) == ("passed by", "moving object")
     assert "passed by" in case["sentence"]
@@ -139,7 +166,11 @@ def test_causes_other_than_visibility_come_from_the_method():
 
 def test_classes_and_objects_separate_and_name_cases():
     names = {5: "car", 7: "tree"}
-    fields = {"classes": np.repeat([5, 7], 25), "class_names": names, "instances": np.repeat([3, 4], 25)}
+    fields = {
+        "classes": np.repeat([5, 7], 25),
+        "class_names": names,
+        "instances": np.repeat([3, 4], 25),
+    }
     found = section(labelled(0, cube(), 1, False, **fields))["cases"]
     assert [(c["what"], c["class"], c["instance"], c["points"]) for c in found] == [
         ("car", 5, 3, 25),
@@ -149,9 +180,16 @@ def test_classes_and_objects_separate_and_name_cases():
 
 def test_the_costliest_case_is_first_whatever_its_kind():
     static, ghost = cube(500) * [1, 1, 0.1], cube(10, x=50)
-    frames = labelled(0, static, 0, True), labelled(1, ghost, 1, False), labelled(2, cube(500, x=90), 0, False)
+    frames = (
+        labelled(0, static, 0, True),
+        labelled(1, ghost, 1, False),
+        labelled(2, cube(500, x=90), 0, False),
+    )
     found = section(*frames)["cases"]
-    assert [(c["kind"], c["cost"]) for c in found] == [("false_negative", 100.0), ("false_positive", 50.0)]
+    assert [(c["kind"], c["cost"]) for c in found] == [
+        ("false_negative", 100.0),
+        ("false_positive", 50.0),
+    ]
 
 
 def test_boxes_contain_the_points_of_their_frame():
@@ -167,7 +205,9 @@ def test_boxes_contain_the_points_of_their_frame():
     assert boxes.outcomes.tolist() == [Outcome.FALSE_NEGATIVE]
 
 
-@pytest.mark.parametrize("points", [np.empty((0, 3)), np.full((4, 3), np.nan), np.full((4, 3), 1e9)])
+@pytest.mark.parametrize(
+    "points", [np.empty((0, 3)), np.full((4, 3), np.nan), np.full((4, 3), 1e9)]
+)
 def test_points_without_a_position_belong_to_no_case(points):
     found = section(labelled(0, points, 1, False))
     assert found["cases"] == []
@@ -199,24 +239,39 @@ def test_an_object_of_which_at_most_half_is_kept_is_kept_partly():
         answer = np.arange(10) >= kept
         (case,) = section(Labelled.of(0, scan, answer, np.zeros(10, np.uint8)))["cases"]
         spans[kept] = case["spans"]
-    assert spans == {5: {"moving": [[0, 0]], "partly": [[0, 0]]}, 6: {"moving": [[0, 0]], "kept": [[0, 0]]}}
+    assert spans == {
+        5: {"moving": [[0, 0]], "partly": [[0, 0]]},
+        6: {"moving": [[0, 0]], "kept": [[0, 0]]},
+    }
 
 
 def test_runs_share_objects_by_class_and_number():
     moves = {"moving": ((0, 9),), "kept": ((0, 4),), "removed": ((5, 9),)}
-    one, other = failure_case(1.0, 7, moves), failure_case(3.0, 8, {"standing": ((2, 3),), "kept": ((2, 3),)})
+    one, other = (
+        failure_case(1.0, 7, moves),
+        failure_case(3.0, 8, {"standing": ((2, 3),), "kept": ((2, 3),)}),
+    )
     same = failure_case(5.0, 7, {**moves, "kept": ((0, 9),), "removed": ()})
     unnumbered = failure_case(9.0, None, moves)
     (first, found), (second, others) = shared_objects({"A": [other, one, unnumbered], "B": [same]})
-    assert (first, second) == ("car 7", "car 8")  # the costliest first; those without a number are not compared
+    # the costliest first; those without a number are not compared
+    assert (first, second) == (
+        "car 7",
+        "car 8",
+    )
     kept = {"A": [("kept", (0, 4)), ("removed", (5, 9))], "B": [("kept", (0, 9))]}
     assert found == {"object": [("moving", (0, 9))], **kept}
-    assert others == {"object": [("standing", (2, 3))], "A": [("kept", (2, 3))], "B": [("removed", (2, 3))]}
+    assert others == {
+        "object": [("standing", (2, 3))],
+        "A": [("kept", (2, 3))],
+        "B": [("removed", (2, 3))],
+    }
 
 
 def failure_case(cost: float, instance: int | None, spans: Any) -> FailureCase:
     corner = (0.0, 0.0, 0.0)
     return FailureCase(
-        "false_negative", 1, cost, 0, 9, 0, 10, corner, corner, RangeSpan(1, 1, 1), 0.0, {}, class_=3,
+        "false_negative", 1, cost, 0, 9, 0, 10, corner, corner, RangeSpan(1, 1, 1), 0.0, {},
+        class_=3,
         instance=instance, what="car", spans=spans,
     )  # fmt: skip

@@ -16,7 +16,10 @@ NAMES = {0: "unlabelled", 1: "outlier", 9: "static", 40: "road", 252: "moving ca
 
 
 def labelled_scans(frames: int = 3, n: int = 500, seed: int = 0) -> list[Labelled]:
-    """Scans with every kind of point: unlabelled ones, and the classes 0 and 1 with labels of the public benchmark."""
+    """Scans with every kind of point.
+
+    Unlabelled ones, and the classes 0 and 1 with labels of the public benchmark.
+    """
     random = np.random.default_rng(seed)
     scans = []
     for frame in range(frames):
@@ -47,7 +50,11 @@ def plain_iou(points: list[tuple[bool, bool]]) -> dict[str, float]:
     tp = sum(truth and answer for truth, answer in points)
     fp = sum(answer and not truth for truth, answer in points)
     fn = sum(truth and not answer for truth, answer in points)
-    return {"IoU": 100 * tp / (tp + fp + fn), "precision": 100 * tp / (tp + fp), "recall": 100 * tp / (tp + fn)}
+    return {
+        "IoU": 100 * tp / (tp + fp + fn),
+        "precision": 100 * tp / (tp + fp),
+        "recall": 100 * tp / (tp + fn),
+    }
 
 
 @pytest.mark.parametrize("name", ["semantickitti_mos", "helimos"])
@@ -56,11 +63,22 @@ def test_iou_equals_a_plain_count(name: str) -> None:
     pairs = []
     for each in scans:
         rows = zip(each.scan.labels, each.scan.classes, each.dynamic, strict=True)
-        pairs += [(label == 1, answer) for label, kind, answer in rows if label != 255 and kind not in (0, 1)]
+        pairs += [
+            (label == 1, answer)
+            for label, kind, answer in rows
+            if label != 255 and kind not in (0, 1)
+        ]
     found = score(name, scans).scores
     assert found == pytest.approx(plain_iou(pairs), abs=1e-6)
-    every = [(a == 1, b) for s in scans for a, b in zip(s.scan.labels, s.dynamic, strict=True) if a != 255]
-    assert found["IoU"] != pytest.approx(plain_iou(every)["IoU"], abs=1e-3)  # classes 0 and 1 matter here
+    every = [
+        (a == 1, b)
+        for s in scans
+        for a, b in zip(s.scan.labels, s.dynamic, strict=True)
+        if a != 255
+    ]
+    assert found["IoU"] != pytest.approx(
+        plain_iou(every)["IoU"], abs=1e-3
+    )  # classes 0 and 1 matter here
 
 
 def test_doals_is_the_mean_over_labelled_scans_within_range() -> None:
@@ -104,13 +122,17 @@ def test_the_public_benchmark_searches_the_map_of_kept_points() -> None:
     found = score("benchmark", scans)
     assert found.counts == counts
     assert counts != score("points", scans).counts  # some removed points lie next to kept ones
-    assert score("benchmark", scans, "nn") == score("points", scans)  # labels of a map already follow the rule
+    assert score("benchmark", scans, "nn") == score(
+        "points", scans
+    )  # labels of a map already follow the rule
 
 
 def plain_voxels(scans: list[Labelled], edge: float) -> tuple[set, set, set]:
     static, dynamic, kept = set(), set(), set()
     for each in scans:
-        for point, label, answer in zip(each.scan.points, each.scan.labels, each.dynamic, strict=True):
+        for point, label, answer in zip(
+            each.scan.points, each.scan.labels, each.dynamic, strict=True
+        ):
             voxel = tuple(np.floor(point.astype(np.float64) * (1 / edge)).astype(int))
             if label != 255:
                 (dynamic if label == 1 else static).add(voxel)
@@ -132,7 +154,9 @@ def plain_voxel_points(points: list[tuple[np.ndarray, bool]]) -> list[tuple[np.n
     """The mean of the points of each voxel, with the label of the point nearest to it."""
     voxels: dict[tuple, list] = {}
     for point, moving in points:
-        voxels.setdefault(tuple(np.floor(point * (1 / 0.2)).astype(int)), []).append((point, moving))
+        voxels.setdefault(tuple(np.floor(point * (1 / 0.2)).astype(int)), []).append(
+            (point, moving)
+        )
     reduced = []
     for members in voxels.values():
         mean = np.mean([point for point, _ in members], axis=0)
@@ -145,7 +169,9 @@ def test_erasor_equals_a_search_among_voxel_points() -> None:
     rows = [
         (point.astype(np.float64), label == 1, not answer)
         for each in scans
-        for point, label, answer in zip(each.scan.points, each.scan.labels, each.dynamic, strict=True)
+        for point, label, answer in zip(
+            each.scan.points, each.scan.labels, each.dynamic, strict=True
+        )
         if label != 255
     ]
     whole = plain_voxel_points([(point, moving) for point, moving, _ in rows])
@@ -173,7 +199,11 @@ def test_nothing_to_count_is_undefined(name: str) -> None:
 
 def test_sequences_are_combined_as_the_protocols_say() -> None:
     first, second = labelled_scans(2, seed=1), labelled_scans(3, 300, seed=2)
-    for name in ("points", "semantickitti_mos", "doals"):  # voxels of different sequences never coincide
+    for name in (
+        "points",
+        "semantickitti_mos",
+        "doals",
+    ):  # voxels of different sequences never coincide
         combine = registry.load("protocols", name).combine
         together = score(name, first + second).scores
         assert combine([score(name, first), score(name, second)]).scores == pytest.approx(together)
@@ -187,5 +217,11 @@ def test_sequences_are_combined_as_the_protocols_say() -> None:
 
 def test_the_official_splits_of_semantickitti() -> None:
     splits = registry.load("protocols", "semantickitti_mos").info.splits
-    assert {name: len(numbers) for name, numbers in splits.items()} == {"train": 10, "val": 1, "test": 11}
-    assert sorted(number for numbers in splits.values() for number in numbers) == [f"{k:02}" for k in range(22)]
+    assert {name: len(numbers) for name, numbers in splits.items()} == {
+        "train": 10,
+        "val": 1,
+        "test": 11,
+    }
+    assert sorted(number for numbers in splits.values() for number in numbers) == [
+        f"{k:02}" for k in range(22)
+    ]

@@ -28,7 +28,10 @@ def test_wrong_points_are_counted_by_name(info, make_labelled):
     assert section["false_positive"] == {"seen_free": 1}
     assert section["dynamic_removed"] == {"seen_free": 1}
     assert section["static_kept"] == {"never_seen": 1}
-    assert section["cost"] == {"seen_free": {"SA": 50, "DA": 0}, "never_seen": {"SA": 0, "DA": pytest.approx(200 / 3)}}
+    assert section["cost"] == {
+        "seen_free": {"SA": 50, "DA": 0},
+        "never_seen": {"SA": 0, "DA": pytest.approx(200 / 3)},
+    }
     assert section["legend"]["never_seen"] == "no ray did"
 
 
@@ -46,14 +49,22 @@ def test_costs_add_up_to_the_missing_percentage_points(info, make_labelled):
 @pytest.mark.parametrize("code", [3, 255])  # the legend has 0 to 2
 def test_an_undeclared_code_shows_as_a_number(info, make_labelled, code):
     metric = ReasonsMetric(info)
-    metric.update(make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False], reasons=[code]))
+    metric.update(
+        make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False], reasons=[code])
+    )
     assert metric.finish()["reasons"]["false_negative"] == {f"code {code}": 1}
 
 
 def test_the_most_frequent_reason_is_first(info, make_labelled):
     metric = ReasonsMetric(info)
     metric.update(
-        make_labelled(0, points=np.zeros((6, 3)), labels=[1] * 6, dynamic=[False] * 6, reasons=[0, 1, 1, 7, 7, 7])
+        make_labelled(
+            0,
+            points=np.zeros((6, 3)),
+            labels=[1] * 6,
+            dynamic=[False] * 6,
+            reasons=[0, 1, 1, 7, 7, 7],
+        )
     )
     assert list(metric.finish()["reasons"]["false_negative"].items()) == [
         ("code 7", 3),
@@ -65,7 +76,9 @@ def test_the_most_frequent_reason_is_first(info, make_labelled):
 def test_a_reason_may_cost_both_accuracies(info, make_labelled):
     metric = ReasonsMetric(info)
     labels, dynamic = [1, 1, 0, 0], [False, True, True, False]
-    metric.update(make_labelled(0, points=np.zeros((4, 3)), labels=labels, dynamic=dynamic, reasons=[0] * 4))
+    metric.update(
+        make_labelled(0, points=np.zeros((4, 3)), labels=labels, dynamic=dynamic, reasons=[0] * 4)
+    )
     assert metric.finish()["reasons"]["cost"] == {"seen_free": {"SA": 50, "DA": 50}}
 
 

@@ -18,7 +18,10 @@ pytestmark = pytest.mark.boundscheck
 
 
 def measured(*frames: Labelled) -> tuple[dict[str, Any], RemovalsMetric]:
-    """The section of these frames, which is plain JSON and opens as a typed section; and the metric."""
+    """The section of these frames, which is plain JSON and opens as a typed section.
+
+    And the metric.
+    """
     metric = RemovalsMetric(INFO)
     for frame in frames:
         assert metric.update(frame) == {}
@@ -31,7 +34,10 @@ def measured(*frames: Labelled) -> tuple[dict[str, Any], RemovalsMetric]:
 
 
 def street(frame: int) -> Labelled:
-    """A road and a wall, of each a patch removed, and a removed car that drives; the ground truth is unknown."""
+    """A road and a wall, of each a patch removed, and a removed car that drives.
+
+    The ground truth is unknown.
+    """
     rng = np.random.default_rng(frame)
     road = rng.uniform([-20, -5, 0], [40, 5, 0.03], (6000, 3))
     wall = rng.uniform([-20, 6, 0], [40, 6.3, 4], (6000, 3))
@@ -41,7 +47,9 @@ def street(frame: int) -> Labelled:
     hole = (points[:, 0] > 20) & (points[:, 0] < 22) & (points[:, 1] > 6) & (points[:, 2] > 2)
     dynamic = patch | hole | (np.arange(len(points)) >= 12000)
     reasons = np.where(hole, 1, 0).astype(np.uint8)
-    return Labelled.of(frame, Scan(100 + frame, points.astype(np.float32), np.eye(4)), dynamic, reasons)
+    return Labelled.of(
+        frame, Scan(100 + frame, points.astype(np.float32), np.eye(4)), dynamic, reasons
+    )
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +61,18 @@ def test_removed_points_are_counted_by_reason_range_and_frame():
     points = np.array([[x, 0, 0] for x in (1, 10, 19, 20, 49, 50, np.nan)], np.float32)
     scan = Scan(7, points, np.eye(4), labels=np.zeros(7, np.uint8))
     removed = np.array([True, True, False, True, False, True, True])
-    section, metric = measured(Labelled.of(0, scan, removed, np.array([1, 0, 0, 1, 0, 99, 1], np.uint8)))
+    section, metric = measured(
+        Labelled.of(0, scan, removed, np.array([1, 0, 0, 1, 0, 99, 1], np.uint8))
+    )
     assert (section["points"], section["removed"]) == (7, 5)
-    assert list(section["reasons"].items()) == [("never_crossed", 3), ("crossed", 1), ("unknown code", 1)]
+    assert list(section["reasons"].items()) == [
+        ("never_crossed", 3),
+        ("crossed", 1),
+        ("unknown code", 1),
+    ]
     assert [tuple(row.values()) for row in section["range"]] == [
-        (0.0, 10.0, 1, 1), (10.0, 20.0, 2, 1), (20.0, 30.0, 1, 1), (30.0, 50.0, 1, 0), (50.0, None, 2, 2),
+        (0.0, 10.0, 1, 1), (10.0, 20.0, 2, 1), (20.0, 30.0, 1, 1), (30.0, 50.0, 1, 0),
+        (50.0, None, 2, 2),
     ]  # fmt: skip
     assert section["frame"] == [{"frame": 0, "index": 7, "points": 7, "removed": 5}]
     assert "clusters" not in section
@@ -67,7 +82,9 @@ def test_removed_points_are_counted_by_reason_range_and_frame():
 def test_a_static_surface_looks_suspicious_and_a_mover_does_not(without_truth):
     clusters = {cluster["what"]: cluster for cluster in without_truth[0]["clusters"]}
     road, car = clusters["ground"], clusters["moving object"]
-    hole = next(cluster for cluster in without_truth[0]["clusters"] if "never_crossed" in cluster["reasons"])
+    hole = next(
+        cluster for cluster in without_truth[0]["clusters"] if "never_crossed" in cluster["reasons"]
+    )
     assert without_truth[0]["clusters"][0] is road
     assert road["suspicion"] > hole["suspicion"] > 2 * car["suspicion"]
     assert road["why"][0] == "ground"
@@ -76,7 +93,9 @@ def test_a_static_surface_looks_suspicious_and_a_mover_does_not(without_truth):
     assert road["kept_near"] > 0.3
     assert "Suspicious: ground, " in road["sentence"]
     assert car["sentence"].endswith("Moves as movers do.")
-    assert car["moved"] == pytest.approx(11, abs=0.3)  # from its first three frames to its last three
+    assert car["moved"] == pytest.approx(
+        11, abs=0.3
+    )  # from its first three frames to its last three
 
 
 def test_clusters_contain_all_removed_points_and_have_boxes(without_truth):
@@ -103,6 +122,8 @@ def test_a_labelled_point_in_any_frame_means_that_there_is_ground_truth():
 
 def test_nothing_removed():
     scan = street(0).scan
-    section, metric = measured(Labelled.of(0, scan, np.zeros(len(scan), np.bool_), np.zeros(len(scan), np.uint8)))
+    section, metric = measured(
+        Labelled.of(0, scan, np.zeros(len(scan), np.bool_), np.zeros(len(scan), np.uint8))
+    )
     assert (section["removed"], section["reasons"], section["clusters"]) == (0, {}, [])
     assert metric.figures() == {}

@@ -41,9 +41,10 @@ def test_markdown_has_the_numbers_of_the_results(study):
             assert row[f"hall: {name} ↑"].strip("*") == f"{each.metrics[name]:.2f}"
     assert rows["octomap_g"]["hall: AA ↑"] == "**84.85**"
     assert rows["erasor"]["hall: SA ↑"] == "**95.00**"
-    assert {row["runtime per frame [s] ↓: hall"] for row in markdown_table(text, "Runtime and parameters")} == {
-        "**0.500 ± 0.100**"
-    }
+    assert {
+        row["runtime per frame [s] ↓: hall"]
+        for row in markdown_table(text, "Runtime and parameters")
+    } == {"**0.500 ± 0.100**"}
     assert "no \\<memory\\> & 100 % \\| lost" in text
     assert "1 run failed" in text
 
@@ -55,20 +56,28 @@ def test_csv_has_all_fields(study, tmp_path):
         assert {name: int(row[name]) for name in each.counts} == each.counts
         assert {name: float(row[name]) for name in each.metrics} == each.metrics
         assert json.loads(row["parameters"]) == each.parameters
-        assert (float(row["runtime_mean_s"]), row["n_parameters"], row["scoring"]) == (0.5, "2", "mask")
+        assert (float(row["runtime_mean_s"]), row["n_parameters"], row["scoring"]) == (
+            0.5,
+            "2",
+            "mask",
+        )
         assert (row["sequence_digest"], row["labels_sha256"]) == ("digest of hall", "ab" * 32)
     assert (rows[2]["error"], rows[2]["SA"]) == ("no <memory> & 100 % | lost", "")
 
 
 def test_the_page_is_well_formed_self_contained_and_sorted(study):
-    text = report(study(*TWO, result("dufomap", numbers=(999, 1, 0, 0)), failed=("removert",)), "html")
+    text = report(
+        study(*TWO, result("dufomap", numbers=(999, 1, 0, 0)), failed=("removert",)), "html"
+    )
     page = Page(text)
     assert len(page.ids) == len(set(page.ids))
     assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
     assert all(place.startswith(("#", "data:")) for place in page.loaded)
     rows = page.body("glance")
     assert [row[0]["text"] for row in rows] == ["octomap_g", "erasor", "dufomap"]
-    assert [row[1].get("data-sort") for row in rows] == [str(each.metrics["AA"]) for each in TWO] + [None]
+    assert [row[1].get("data-sort") for row in rows] == [
+        str(each.metrics["AA"]) for each in TWO
+    ] + [None]
     assert [row[1]["text"] for row in rows] == ["84.85", "61.64", "n/a"]
     assert [row[3]["bold"] for row in page.body("accuracy")] == [True, False, False]
     assert rows[0][2]["text"] == "dynamic kept: nothing behind (−20.0 DA)"
@@ -78,7 +87,9 @@ def test_the_page_is_well_formed_self_contained_and_sorted(study):
     assert not re.search(r"""(src|href|url\()\s*=?\s*["'(]?\s*(https?:)?//""", text)
     assert "@import" not in text
 
-    assert text.count("<svg ") == text.count('role="img"') == len(re.findall(r"<title id=", text)) > 3
+    assert (
+        text.count("<svg ") == text.count('role="img"') == len(re.findall(r"<title id=", text)) > 3
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,9 +123,13 @@ def test_combined_scores_are_those_of_all_points(several):
     kept, removed, right, left = (sum(numbers[k] for numbers in several) for k in range(4))
     row = combined.rows[0]
     for name, part, rest in (("SA", kept, removed), ("DA", right, left)):
-        assert row.score(name) == (pytest.approx(100 * part / (part + rest)) if part + rest else None)
+        assert row.score(name) == (
+            pytest.approx(100 * part / (part + rest)) if part + rest else None
+        )
     if kept + removed and right + left:
-        assert row.score("AA") == pytest.approx(100 * math.sqrt(kept / (kept + removed) * right / (right + left)))
+        assert row.score("AA") == pytest.approx(
+            100 * math.sqrt(kept / (kept + removed) * right / (right + left))
+        )
     assert not notes
 
 
@@ -125,16 +140,25 @@ def test_no_combined_scores_if_runs_are_missing(study):
 
 
 def test_different_parameters_are_reported(study):
-    made = tables(study(result("octomap", "a"), result("octomap", "b", parameters={"resolution": 0.2})))
+    made = tables(
+        study(result("octomap", "a"), result("octomap", "b", parameters={"resolution": 0.2}))
+    )
     assert made.combined
     assert "octomap had different parameters" in " ".join(made.accuracy.notes)
 
 
 def test_scorings_are_never_mixed(study):
     made = tables(
-        study(result("a"), result("b", scoring="nn", numbers=(999, 1, 99, 1)), result("c", numbers=(800, 200, 80, 20)))
+        study(
+            result("a"),
+            result("b", scoring="nn", numbers=(999, 1, 99, 1)),
+            result("c", numbers=(800, 200, 80, 20)),
+        )
     )
-    assert [(board.title, len(board.rows)) for board in made.boards] == [("hall (mask)", 2), ("hall (nn)", 1)]
+    assert [(board.title, len(board.rows)) for board in made.boards] == [
+        ("hall (mask)", 2),
+        ("hall (nn)", 1),
+    ]
     assert made.boards[0].best("AA") == {"a"}
     assert not made.combined
     assert "cannot be compared" in " ".join(made.glance.notes)
@@ -153,8 +177,15 @@ def test_one_sequence_under_two_names_is_one_board(study):
 
 
 def test_runs_of_one_method_have_different_labels(study, tmp_path):
-    made = tables(study(result("a"), result("a"), result("a", variant="coarse"), result("a", online=True)))
-    assert {row.label for row in made.boards[0].rows} == {"a [00]", "a [01]", "a (coarse)", "a (online)"}
+    made = tables(
+        study(result("a"), result("a"), result("a", variant="coarse"), result("a", online=True))
+    )
+    assert {row.label for row in made.boards[0].rows} == {
+        "a [00]",
+        "a [01]",
+        "a (coarse)",
+        "a (online)",
+    }
 
 
 def test_runs_of_two_folders_are_labelled_with_them(tmp_path):
@@ -178,7 +209,11 @@ def test_runtimes_of_other_machines_are_labelled_and_recorded_ones_marked(study)
         )
     )
     rows = {row[0].text: row for row in made.runtime.rows}
-    assert [value.text for value in rows["d"][:3]] == ["d", "Linux x86_64, 2 cores, 8 threads", "0.100 ± 0.000"]
+    assert [value.text for value in rows["d"][:3]] == [
+        "d",
+        "Linux x86_64, 2 cores, 8 threads",
+        "0.100 ± 0.000",
+    ]
     assert rows["c"][2].text.endswith("†")
     assert rows["e"][2].text == "n/a"
     assert [name for name, row in rows.items() if row[2].bold] == ["b"]
@@ -216,12 +251,22 @@ def test_published_numbers_of_a_public_sequence(study):
             (4390, 4419),
             "Only the name matches: 30 frames from 4390 to 4419 here",
         ),
-        ({"name": "kitti_00", "frames": 141, "points": 5}, (4390, 4530), "but not the points: 5 here"),
-        ({"name": "kitti_01", "frames": 101, "points": 5}, (150, 250), "number of points was not published"),
+        (
+            {"name": "kitti_00", "frames": 141, "points": 5},
+            (4390, 4530),
+            "but not the points: 5 here",
+        ),
+        (
+            {"name": "kitti_01", "frames": 101, "points": 5},
+            (150, 250),
+            "number of points was not published",
+        ),
     ],
 )
 def test_what_matches_a_public_sequence_is_reported(study, facts, indices, message):
-    frames = {"breakdown": {"frame": [{"frame": k, "index": index} for k, index in enumerate(indices)]}}
+    frames = {
+        "breakdown": {"frame": [{"frame": k, "index": index} for k, index in enumerate(indices)]}
+    }
     made = tables(study(result("octomap", sequence={"digest": "d", **facts}, sections=frames)))
     table = made.by_board[0].published
     assert message in table.notes[0]
@@ -233,7 +278,12 @@ def test_other_sequences_have_no_published_numbers(study):
 
 @pytest.mark.parametrize(
     "results",
-    [(), (result("one_a"),), (result("one_a", numbers=(0, 0, 0, 0)),), (Result("one_a", {}, SequenceInfo("s")),)],
+    [
+        (),
+        (result("one_a"),),
+        (result("one_a", numbers=(0, 0, 0, 0)),),
+        (Result("one_a", {}, SequenceInfo("s")),),
+    ],
     ids=["only a failed one", "one", "no points", "no sections"],
 )
 def test_reports_of_few_results(study, results):
@@ -245,7 +295,11 @@ def test_reports_of_few_results(study, results):
 
 def test_variants_show_their_pareto_front(study):
     spread = [(900, 100, 50, 50), (800, 200, 90, 10), (850, 150, 40, 60), (700, 300, 95, 5)]
-    page = Page(report(study(*(result("a", numbers=n, variant=f"v{k}") for k, n in enumerate(spread))), "html"))
+    page = Page(
+        report(
+            study(*(result("a", numbers=n, variant=f"v{k}") for k, n in enumerate(spread))), "html"
+        )
+    )
     words = [word.strip() for word in page.words]
     assert words.count("v2") == 0  # beaten by v0 in both
     assert {"v0", "v1", "v3"} <= set(words)

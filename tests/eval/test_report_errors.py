@@ -11,13 +11,18 @@ from dynaviz.scores.scores import Counts
 from dynaviz_eval.report.tables import tables
 
 CAUSES = {
-    "false_positive": {"grazing rays": {"cases": 2, "points": 75}, "shared cell": {"cases": 1, "points": 25}},
+    "false_positive": {
+        "grazing rays": {"cases": 2, "points": 75},
+        "shared cell": {"cases": 1, "points": 25},
+    },
     "false_negative": {"nothing behind": {"cases": 1, "points": 20}},
 }
 
 
 def test_the_losses_of_all_causes_add_up(study):
-    made = tables(study(result("a", sections={"failures": {"causes": CAUSES}}), result("b"))).failures
+    made = tables(
+        study(result("a", sections={"failures": {"causes": CAUSES}}), result("b"))
+    ).failures
     assert [column.name for column in made.columns] == [
         "method", "all", "grazing rays", "shared cell", "all", "nothing behind",
     ]  # fmt: skip
@@ -27,20 +32,40 @@ def test_the_losses_of_all_causes_add_up(study):
 
 
 def test_a_larger_loss_has_a_stronger_colour(study):
-    made = tables(study(result("a", sections={"failures": {"causes": CAUSES}}), result("b"))).failures
+    made = tables(
+        study(result("a", sections={"failures": {"causes": CAUSES}}), result("b"))
+    ).failures
     heats = {row[0].text: [value.heat for value in row[1:]] for row in made.rows}
-    assert heats["a"] == [None, 0.87, 0.5, None, 1.0]  # square roots of 7.5 and 2.5 of 10, and 20 of 20
+    assert heats["a"] == [
+        None,
+        0.87,
+        0.5,
+        None,
+        1.0,
+    ]  # square roots of 7.5 and 2.5 of 10, and 20 of 20
     assert heats["b"] == [None, 1.0, None, None, 1.0]
     page = Page(registry.load("reports", "html")(study(result("c"))))
-    cells = [cell for row in page.body("failures") for cell in row if "heat" in (cell["class"] or "").split()]
+    cells = [
+        cell
+        for row in page.body("failures")
+        for cell in row
+        if "heat" in (cell["class"] or "").split()
+    ]
     assert cells
     assert all(cell["style"].startswith("--heat: ") for cell in cells)
 
 
 def test_small_losses_are_not_printed_as_zero(study):
-    tiny = {"false_positive": {"grazing rays": {"cases": 1, "points": 1}, "shared cell": {"cases": 1, "points": 99999}}}
+    tiny = {
+        "false_positive": {
+            "grazing rays": {"cases": 1, "points": 1},
+            "shared cell": {"cases": 1, "points": 99999},
+        }
+    }
     numbers = (10**9, 10**5, 80, 20)
-    made = tables(study(result("a", numbers=numbers, sections={"failures": {"causes": tiny}}))).failures
+    made = tables(
+        study(result("a", numbers=numbers, sections={"failures": {"causes": tiny}}))
+    ).failures
     assert dict(zip([c.name for c in made.columns], [v.text for v in made.rows[0]], strict=False))[
         "grazing rays"
     ] == "<0.01"  # fmt: skip
@@ -52,11 +77,15 @@ def objects(*things, failures=None, method="a"):
 
 
 def test_objects_show_each_methods_verdict_and_reason(study):
-    ghost = case("false_negative", 1.0, (0, 0, 0), (1, 1, 1), what="moving car", instance=3, **{"class": 252})
+    ghost = case(
+        "false_negative", 1.0, (0, 0, 0), (1, 1, 1), what="moving car", instance=3, **{"class": 252}
+    )
     made = tables(
         study(
             objects(thing(3, 10, 90), thing(4, 100, 0), failures=[ghost], method="a"),
-            objects(thing(3, 20, 80, reasons={"low": 70, "grazed": 10}), thing(4, 60, 40), method="b"),
+            objects(
+                thing(3, 20, 80, reasons={"low": 70, "grazed": 10}), thing(4, 60, 40), method="b"
+            ),
             objects(thing(3, 100, 0), thing(4, 100, 0), method="c"),
         )
     )
@@ -70,19 +99,28 @@ def test_objects_show_each_methods_verdict_and_reason(study):
         ("20", "low", 0.8),
         ("100", "", 0.0),
     ]
-    assert dict(zip(labels, second, strict=True))["kept by"].text == "0 of 3 methods"  # 60 % were removed
+    assert (
+        dict(zip(labels, second, strict=True))["kept by"].text == "0 of 3 methods"
+    )  # 60 % were removed
 
 
 def test_objects_that_all_methods_removed_are_not_listed(study):
     made = tables(study(objects(thing(3, 10, 0)), objects(thing(3, 10, 0), method="b")))
     assert not made.by_board[0].objects.rows
-    assert "Objects" not in Page(registry.load("reports", "html")(study(objects(thing(3, 10, 0))))).text
+    assert (
+        "Objects"
+        not in Page(registry.load("reports", "html")(study(objects(thing(3, 10, 0))))).text
+    )
 
 
 def test_disputed_objects_come_first(study):
     many = [thing(k, 0, 50) for k in range(1, 30)]
     disputed = [thing(30, 0, 50)], [thing(30, 50, 0)]
-    made = tables(study(objects(*many, *disputed[0]), objects(*many, *disputed[1], method="b"))).by_board[0].objects
+    made = (
+        tables(study(objects(*many, *disputed[0]), objects(*many, *disputed[1], method="b")))
+        .by_board[0]
+        .objects
+    )
     assert made.rows[0][0].text == "class 252 30"
     assert len(made.rows) == 20
     assert "10 objects with errors not listed" in " ".join(made.notes)
@@ -94,7 +132,13 @@ def test_range_and_height_have_figures_and_numbers(study):
     breakdown = {"height": by, "range": [{**by[0], "from": 0.0}, by[1]]}
     given = study(result("a", sections={"breakdown": breakdown}))
     made = tables(given).by_board[0]
-    assert [column.name for column in made.height.columns] == ["method", "< 0.5", "≥ 0.5", "< 0.5", "≥ 0.5"]
+    assert [column.name for column in made.height.columns] == [
+        "method",
+        "< 0.5",
+        "≥ 0.5",
+        "< 0.5",
+        "≥ 0.5",
+    ]
     assert [column.name for column in made.range.columns][1:3] == ["0–0.5", "≥ 0.5"]
     assert [value.text for value in made.height.rows[0]] == ["a", "90.00", "50.00", "80.00", "n/a"]
     text = registry.load("reports", "html")(given)
@@ -117,7 +161,12 @@ def test_runs_without_ground_truth_show_what_they_removed(study):
     page = Page(registry.load("reports", "html")(given))
     assert set(page.tables) == {"runtime", "removals-1", "cases-1", "runs"}
     assert "it is unknown which of these points" in page.text
-    assert markdown_table(registry.load("reports", "md")(given), "Removed points: open")[0]["removed: points"] == "50"
+    assert (
+        markdown_table(registry.load("reports", "md")(given), "Removed points: open")[0][
+            "removed: points"
+        ]
+        == "50"
+    )
 
 
 @pytest.mark.parametrize("format", ["html", "md"])
@@ -130,7 +179,13 @@ def test_an_unlabelled_run_of_an_earlier_version_has_no_false_numbers(study, for
 
 def test_runs_with_and_without_ground_truth_are_kept_apart(study):
     made = tables(study(result("a"), without_truth("a", REMOVALS)))
-    assert [column.name for column in made.accuracy.columns] == ["method", "SA ↑", "DA ↑", "AA ↑", "HA ↑"]
+    assert [column.name for column in made.accuracy.columns] == [
+        "method",
+        "SA ↑",
+        "DA ↑",
+        "AA ↑",
+        "HA ↑",
+    ]
     assert [bool(board.removals.rows) for board in made.by_board] == [False, True]
     runs = {row[1].text: [value.text for value in row[4:8]] for row in made.runs.rows}
     assert runs == {"hall": ["900", "100", "80", "20"], "open": ["n/a"] * 4}

@@ -1,4 +1,7 @@
-"""The gallery of a report: which cases it shows, from where, and that the page holds together in a browser."""
+"""The gallery of a report.
+
+Which cases it shows, from where, and that the page holds together in a browser.
+"""
 
 from __future__ import annotations
 
@@ -44,8 +47,17 @@ def test_cases_of_several_methods_at_one_place_are_one_row(study):
     car = {"class": 252, "instance": 7}
     cases = shared(
         study,
-        failing("a", case(GHOST, 5.0, *box(0), **car), case(GHOST, 1.0, *box(50), **car), case(HOLE, 3.0, *box(0, 4))),
-        failing("b", case(GHOST, 2.0, *box(90), cause="standing too long", **car), case(HOLE, 2.0, *box(0.5, 3))),
+        failing(
+            "a",
+            case(GHOST, 5.0, *box(0), **car),
+            case(GHOST, 1.0, *box(50), **car),
+            case(HOLE, 3.0, *box(0, 4)),
+        ),
+        failing(
+            "b",
+            case(GHOST, 2.0, *box(90), cause="standing too long", **car),
+            case(HOLE, 2.0, *box(0.5, 3)),
+        ),
         failing("c", case(HOLE, 1.0, *box(30))),
     )
     assert [(c.heading, {label: len(spots) for label, spots in c.by.items()}) for c in cases] == [
@@ -78,7 +90,10 @@ def test_a_long_road_does_not_fill_the_list(study):
 
 def test_the_gallery_varies_what_the_objects_did(study):
     """Not only the causes, which differ by method."""
-    parked = [case(GHOST, 9.0 - k, *box(20 * k), behaviour="stood still until the end") for k in range(MOST)]
+    parked = [
+        case(GHOST, 9.0 - k, *box(20 * k), behaviour="stood still until the end")
+        for k in range(MOST)
+    ]
     passed = [case(GHOST, 0.5, *box(-20 * k - 20), behaviour="passed by") for k in range(2)]
     shown = shared(study, failing("a", *parked, *passed))
     assert [c.worst.behaviour for c in shown].count("passed by") == 2
@@ -93,7 +108,9 @@ def scene(size: tuple[float, float, float], outcome: Outcome) -> StudyOverview:
     """Wrong points on the surface of a box at the origin, on a floor, below a roof."""
     random = np.random.default_rng(0)
     wrong = random.uniform(0, size, (4000, 3))
-    floor, roof = (np.c_[random.uniform(-20, 20, (20_000, 2)), np.full(20_000, z)] for z in (-0.3, 20.0))
+    floor, roof = (
+        np.c_[random.uniform(-20, 20, (20_000, 2)), np.full(20_000, z)] for z in (-0.3, 20.0)
+    )
     points = np.concatenate([wrong, floor, roof]).astype(np.float32)
     outcomes = np.repeat(np.array([outcome, Outcome.STATIC_KEPT], np.uint8), [len(wrong), 40_000])
     return StudyOverview(points, outcomes)
@@ -116,7 +133,9 @@ def test_a_case_is_seen_from_where_it_is_largest(size, kind, outcome, index, whe
     image = view.draw(overview)
     rows, columns = np.nonzero(image == index)
     assert np.ptp(columns) * view.pixel == pytest.approx(max(size[:2]), abs=0.6)
-    assert np.ptp(rows) * view.pixel == pytest.approx(size[2] if "side" in where else size[1], abs=0.6)
+    assert np.ptp(rows) * view.pixel == pytest.approx(
+        size[2] if "side" in where else size[1], abs=0.6
+    )
     assert abs(columns.mean() - image.shape[1] / 2) < 8  # in the middle, despite the roof above
     assert abs(rows.mean() - image.shape[0] / 2) < 8
 
@@ -128,7 +147,10 @@ def test_all_pictures_of_a_row_show_the_same_crop(study):
     cases = shared(study, failing("a", case(GHOST, 5.0, (0, 0, 0), size)), failing("b"))
     (row,) = gallery(cases, ["a", "b", "without a recording"], {"a": wrong, "b": right})
     assert [picture.title for picture in row.pictures] == ["before", "truth", "a", "b"]
-    assert [picture.caption for picture in row.pictures[2:]] == ["5.00 DA lost: nothing behind", "no case here"]
+    assert [picture.caption for picture in row.pictures[2:]] == [
+        "5.00 DA lost: nothing behind",
+        "no case here",
+    ]
     assert len({(picture.width, picture.height) for picture in row.pictures}) == 1
     before, truth, a, b = (picture.webp for picture in row.pictures)
     assert truth == b  # a method that removed it is as good as the truth
@@ -143,7 +165,9 @@ def previous(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("fine", "coarse"):
         (folder / name).mkdir()
         shutil.copy(PREVIOUS / name / "result.json", folder / name)
-        (folder / name / "run.rrd").write_bytes(gzip.decompress((PREVIOUS / name / "run.rrd.gz").read_bytes()))
+        (folder / name / "run.rrd").write_bytes(
+            gzip.decompress((PREVIOUS / name / "run.rrd.gz").read_bytes())
+        )
     return folder
 
 
@@ -173,7 +197,12 @@ def test_objects_over_time_have_a_lane_for_each_method(study):
         "a: removed, frames 5 to 9",
         "b: removed, frames 0 to 9",  # it has no case on the object
     ]
-    assert re.findall(r'<rect x="(\d+)" width="(\d+)"', lanes) == [("0", "10"), ("0", "5"), ("5", "5"), ("0", "10")]
+    assert re.findall(r'<rect x="(\d+)" width="(\d+)"', lanes) == [
+        ("0", "10"),
+        ("0", "5"),
+        ("5", "5"),
+        ("0", "10"),
+    ]
 
 
 def test_pictures_and_fields_name_the_command_that_explores_their_run(previous, previous_page):

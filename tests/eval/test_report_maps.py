@@ -24,7 +24,10 @@ from dynaviz_eval.report import birdseye
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three runs on the little room: one with a full recording, one without points in it, one without a recording."""
+    """Three runs on the little room.
+
+    One with a full recording, one without points in it, one without a recording.
+    """
     folder, world = tmp_path_factory.mktemp("recorded"), room(frames=4)
     dv.run("octomap", world, out=folder / "with_points")
     dv.run("octomap_g", world, out=folder / "scores only", record="scores")
@@ -80,10 +83,14 @@ def test_the_same_results_give_the_same_bytes(recorded, written):
 def pixels(points: list[tuple[float, float, float]], outcomes: list[Outcome]) -> set[int]:
     frame = [(x, y, 0.0) for x in (-20.0, 20.0) for y in (-10.0, 10.0)]
     overview = StudyOverview(
-        np.array(frame + points, np.float32), np.array([Outcome.STATIC_KEPT] * 4 + outcomes, np.uint8)
+        np.array(frame + points, np.float32),
+        np.array([Outcome.STATIC_KEPT] * 4 + outcomes, np.uint8),
     )
     image = birdseye.View.of_map(overview).draw(overview)
-    middle = image[image.shape[0] // 2 - 8 : image.shape[0] // 2 + 8, image.shape[1] // 2 - 8 : image.shape[1] // 2 + 8]
+    middle = image[
+        image.shape[0] // 2 - 8 : image.shape[0] // 2 + 8,
+        image.shape[1] // 2 - 8 : image.shape[1] // 2 + 8,
+    ]
     return set(np.unique(middle).tolist()) - {birdseye.BACKGROUND}
 
 
@@ -92,6 +99,8 @@ def test_a_pixel_shows_the_prevailing_outcome():
     assert pixels([here], [Outcome.FALSE_POSITIVE]) == {birdseye.HOLE}
     assert pixels([here], [Outcome.FALSE_NEGATIVE]) == {birdseye.GHOST}
     assert pixels([here], [Outcome.DYNAMIC_REMOVED]) == {birdseye.RIGHT}
-    assert pixels([here, above], [Outcome.FALSE_POSITIVE, Outcome.STATIC_KEPT]) >= {birdseye.GREY + birdseye.SHADES - 1}
+    assert pixels([here, above], [Outcome.FALSE_POSITIVE, Outcome.STATIC_KEPT]) >= {
+        birdseye.GREY + birdseye.SHADES - 1
+    }
     assert pixels([here, above], [Outcome.FALSE_NEGATIVE, Outcome.STATIC_KEPT]) == {birdseye.GHOST}
     assert pixels([(float("nan"), 0.0, 0.0)], [Outcome.FALSE_NEGATIVE]) == set()

@@ -1,4 +1,7 @@
-"""Records on disk in sorted runs: intervals cover each once, and metrics that use them give the same numbers."""
+"""Records on disk in sorted runs.
+
+Intervals cover each once, and metrics that use them give the same numbers.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ def test_intervals_contain_each_record_once_and_equal_keys_together() -> None:
     random, runs, whole = np.random.default_rng(0), SortedRuns(RECORD), []
     for count in (5000, 1, 0, 3000):
         records = np.empty(count, RECORD)
-        records["key"], records["value"] = random.integers(0, 2000, count), random.integers(0, 9, count)
+        records["key"], records["value"] = (
+            random.integers(0, 2000, count),
+            random.integers(0, 9, count),
+        )
         runs.append(records)
         whole.append(records)
     expected = np.sort(np.concatenate(whole))
@@ -35,7 +41,9 @@ def test_voxels_on_disk_are_counted_like_those_in_memory() -> None:
     random, info = np.random.default_rng(1), MethodInfo("m", "M", "none", ())
     metrics = [VoxelwiseMetric(info), VoxelwiseMetric(info, held=300)]
     for frame, scan in enumerate(room(frames=6, rays=800).scans):
-        labelled = Labelled.of(frame, scan, random.random(len(scan)) < 0.3, np.zeros(len(scan), np.uint8))
+        labelled = Labelled.of(
+            frame, scan, random.random(len(scan)) < 0.3, np.zeros(len(scan), np.uint8)
+        )
         for metric in metrics:
             metric.update(labelled)
     whole, stored = (metric.finish()["voxelwise"] for metric in metrics)

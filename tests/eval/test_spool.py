@@ -19,11 +19,15 @@ def along(*frames) -> PointSpool:
     return spool
 
 
-def blocks(spool: PointSpool, axis: int, low: float, high: float, size: int) -> list[list[tuple[float, int]]]:
+def blocks(
+    spool: PointSpool, axis: int, low: float, high: float, size: int
+) -> list[list[tuple[float, int]]]:
     corners = np.array([np.full(3, -np.inf), np.full(3, np.inf)])
     corners[:, axis] = low, high
     found = spool.blocks(*corners, size)
-    return [list(zip(points[:, 0].tolist(), frames.tolist(), strict=True)) for points, frames in found]
+    return [
+        list(zip(points[:, 0].tolist(), frames.tolist(), strict=True)) for points, frames in found
+    ]
 
 
 def test_an_interval_includes_its_lower_end_only():
@@ -45,7 +49,11 @@ def test_a_box_limits_all_axes():
 
 def test_blocks_end_with_the_frame_that_fills_them():
     spool = along([1, 2], [3], [4, 5, 6], [7])
-    assert blocks(spool, 0, -np.inf, np.inf, 3) == [[(1, 0), (2, 0), (3, 1)], [(4, 2), (5, 2), (6, 2)], [(7, 3)]]
+    assert blocks(spool, 0, -np.inf, np.inf, 3) == [
+        [(1, 0), (2, 0), (3, 1)],
+        [(4, 2), (5, 2), (6, 2)],
+        [(7, 3)],
+    ]
     assert blocks(spool, 0, 2, 7, 2) == [[(2, 0), (3, 1)], [(4, 2), (5, 2), (6, 2)]]
 
 
@@ -91,7 +99,9 @@ def test_the_error_of_a_full_disk_has_the_size():
 
 @pytest.mark.parametrize("axis", range(3))
 def test_the_nearest_point_may_be_in_another_slab_up_to_the_limit(axis):
-    """Wrong points on both sides of each border of slabs, with correct points just within the limit."""
+    """Wrong points on both sides of each border of slabs, with correct points just within the
+    limit.
+    """
     places = np.zeros((200, 3), np.float32)
     places[:, axis] = 10.0 * np.arange(200)
     wrong, right = PointSpool(), PointSpool()

@@ -17,12 +17,19 @@ pytest.importorskip("starlette", reason="the extra explore is not installed")
 pytest.importorskip("rerun_notebook", reason="the extra explore is not installed")
 
 RAYS, FRAMES = 700, 6
-SOFTWARE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--no-sandbox"]
+SOFTWARE = [
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--no-sandbox",
+]
 
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Folders of a fine and a coarse run on the little room, of one with scores alone, and of one without truth."""
+    """Folders of a fine and a coarse run on the little room, of one with scores alone, and of one
+    without truth.
+    """
     folder = tmp_path_factory.mktemp("explored")
     convert(room(FRAMES, RAYS), folder / "room")
     convert(room(FRAMES, RAYS, labelled=False), folder / "unknown")

@@ -1,6 +1,7 @@
 """The page of the explorer in Chromium: real clicks, keys and addresses.
 
-Without a graphics card the viewer draws in software, so these tests have a command of their own: ``make browser``.
+Without a graphics card the viewer draws in software, so these tests have a command of their own:
+``make browser``.
 """
 
 from __future__ import annotations
@@ -35,7 +36,12 @@ pytestmark = pytest.mark.skipif(
 
 MOST = 120_000  # ms; drawing in software on a busy machine
 SMALL = {"width": 1000, "height": 480}  # pixels; fewer are drawn faster
-TITLE, TIME_PANEL, SHARE = 28, 29, 0.6  # of the layout of a case: pixels of bars, and the part of its first view
+# of the layout of a case: pixels of bars, and the part of its first view
+TITLE, TIME_PANEL, SHARE = (
+    28,
+    29,
+    0.6,
+)
 FIELD_OF_VIEW = 55.0  # degrees: vertical, of the viewer's eye
 STATE = "() => JSON.stringify(explorer.current())"
 
@@ -99,7 +105,9 @@ class Page:
 
 
 @pytest.fixture(scope="module")
-def page(browser: Any, runs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+def page(
+    browser: Any, runs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Page]:
     run = shutil.copytree(runs["fine"], tmp_path_factory.mktemp("page") / "fine")  # to correct
     with dv.explore(run) as explorer:
         page = Page(browser, explorer)
@@ -131,14 +139,25 @@ def test_a_card_moves_the_cursor_and_the_camera(page: Page, cases: Any) -> None:
     assert page.tab.get_attribute(f"#card-a-{number}", "aria-current") == "true"
 
 
-def test_the_answers_to_a_hundred_clicked_points_are_those_stored(page: Page, runs: dict[str, Path]) -> None:
+def test_the_answers_to_a_hundred_clicked_points_are_those_stored(
+    page: Page, runs: dict[str, Path]
+) -> None:
     with np.load(runs["fine"] / "labels.npz") as file:
         starts = np.concatenate([[0], np.cumsum(file["points"])])
         reasons = file["reason_names"][file["reasons"]]
     drawn = [points for points in RunRecording(runs["fine"] / "run.rrd").drawn() if len(points.xyz)]
-    chosen = [(points, k) for points in drawn for k in range(0, len(points.xyz), max(1, len(points.xyz) // 30))][:100]
+    chosen = [
+        (points, k)
+        for points in drawn
+        for k in range(0, len(points.xyz), max(1, len(points.xyz) // 30))
+    ][:100]
     clicks = [
-        {"frame": points.frame, "entity_path": "/world/scan", "instance_id": k, "position": points.xyz[k].tolist()}
+        {
+            "frame": points.frame,
+            "entity_path": "/world/scan",
+            "instance_id": k,
+            "position": points.xyz[k].tolist(),
+        }
         for points, k in chosen
     ]
     ask = """async clicks => {
@@ -167,18 +186,25 @@ def on_screen(points: F64, card: Card, width: float, height: float) -> F64:
     top, bottom = TITLE, SHARE * (height - TIME_PANEL)
     scale = (bottom - top) / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
     offset = points - eye
-    across, up = (scale * (offset @ axis) / (offset @ ahead) for axis in (right, np.cross(right, ahead)))
+    across, up = (
+        scale * (offset @ axis) / (offset @ ahead) for axis in (right, np.cross(right, ahead))
+    )
     return np.column_stack([width / 2 + across, (top + bottom) / 2 - up])
 
 
 def test_a_click_with_the_mouse_explains_a_point(page: Page, runs: dict[str, Path]) -> None:
     run = ExploredRun(runs["fine"])
-    card = max(cards(run), key=lambda card: np.sum(run.wrong.frame[card.rows] == card.case.worst_frame))
+    card = max(
+        cards(run), key=lambda card: np.sum(run.wrong.frame[card.rows] == card.case.worst_frame)
+    )
     frame = card.case.worst_frame
     rows = card.rows[run.wrong.frame[card.rows] == frame]
     rows = rows[run.wrong.point[rows] != card.point]  # that one is behind a mark
     page.tab.click(f"#card-a-{card.number}")
-    page.wait(f"explorer.viewers.a.time === {frame} && document.body.dataset.layout === 'case-{card.number}'")
+    page.wait(
+        f"explorer.viewers.a.time === {frame} && document.body.dataset.layout === "
+        f"'case-{card.number}'"
+    )
     box = page.tab.locator("#viewers canvas").bounding_box()
     places = on_screen(run.wrong.xyz[rows].astype(float), card, box["width"], box["height"])
 
@@ -198,7 +224,9 @@ def test_a_click_with_the_mouse_explains_a_point(page: Page, runs: dict[str, Pat
     assert at == frame, "no click met a point of the case"
     assert page.tab.get_attribute(".reason", "data-reason") == run.point(at, point)["reason"]
     assert f"Point {point:,} of frame {at}" in page.tab.inner_text("#point")
-    page.tab.wait_for_selector("#point .ledger .strip")  # the replay of the tiny run follows by itself
+    page.tab.wait_for_selector(
+        "#point .ledger .strip"
+    )  # the replay of the tiny run follows by itself
     page.tab.keyboard.down("Control")  # the viewer then selects both points
     click(places[::-1][:8].tolist(), wrong - {point})
     page.tab.keyboard.up("Control")
@@ -267,7 +295,9 @@ def test_a_correction_changes_the_scores(page: Page, cases: Any) -> None:
     number = next(k for k, case in enumerate(cases, 1) if case.kind == "false_negative")
     page.tab.click(f"#card-a-{number}")
     page.tab.click(".correction button >> text='It is static'")
-    page.wait("/^AA .* -> .* with 1 correction/.test(document.getElementById('corrected').textContent)")
+    page.wait(
+        "/^AA .* -> .* with 1 correction/.test(document.getElementById('corrected').textContent)"
+    )
     page.tab.click(".correction button >> text='Undo'")
     page.wait("document.getElementById('corrected').textContent === ''")
 
@@ -311,7 +341,9 @@ def test_sliders_judge_the_stored_points_again(page: Page, cases: Any) -> None:
         input.dispatchEvent(new Event('input'))
         return document.querySelector('#case .result').textContent
     }"""
-    points = page.tab.evaluate("async () => (await (await fetch('api/evidence?run=a&case=1')).json()).strip.points")
+    points = page.tab.evaluate(
+        "async () => (await (await fetch('api/evidence?run=a&case=1')).json()).strip.points"
+    )
     never = page.tab.evaluate(set_to, ["prob_miss", 0.5])  # a crossing then counts nothing
     assert never.startswith(f"0 of {points} points would be removed")
     removed = cases[0].kind == "false_positive"
@@ -323,16 +355,26 @@ def test_sliders_judge_the_stored_points_again(page: Page, cases: Any) -> None:
 def test_the_case_over_time_moves_the_cursor(page: Page, cases: Any) -> None:
     number = next(k for k, case in enumerate(cases, 1) if case.kind == "false_negative")
     page.tab.click(f"#card-a-{number}")
-    page.tab.wait_for_selector("#case .time rect.hit, #case .time rect.crossed")  # with the evidence
-    drawn = page.tab.locator("#case .time rect:is(.kept, .partly, .removed) title").all_text_contents()
+    page.tab.wait_for_selector(
+        "#case .time rect.hit, #case .time rect.crossed"
+    )  # with the evidence
+    drawn = page.tab.locator(
+        "#case .time rect:is(.kept, .partly, .removed) title"
+    ).all_text_contents()
     expected = [
         f"answer: {state}, frame{f' {first}' if first == last else f's {first} to {last}'}"
-        for state in ("kept", "partly", "removed") for first, last in cases[number - 1].spans.get(state, ())
+        for state in ("kept", "partly", "removed") for first,
+        last in cases[number - 1].spans.get(state, ())
     ]  # fmt: skip
     assert drawn == expected
-    page.tab.click("#case .time", position={"x": 0.9 * page.tab.locator("#case .time").bounding_box()["width"], "y": 5})
+    page.tab.click(
+        "#case .time",
+        position={"x": 0.9 * page.tab.locator("#case .time").bounding_box()["width"], "y": 5},
+    )
     page.wait("explorer.viewers.a.time > 3")
-    assert page.tab.evaluate("Number(document.body.style.getPropertyValue('--frame')) === explorer.viewers.a.time")
+    assert page.tab.evaluate(
+        "Number(document.body.style.getPropertyValue('--frame')) === explorer.viewers.a.time"
+    )
 
 
 def test_the_viewer_is_ready_when_it_shows_points(page: Page) -> None:
@@ -355,16 +397,29 @@ def test_an_address_restores_two_runs_and_a_point(browser: Any, runs: dict[str, 
         page.open("?case=2&layout=map&frame=3&at=2&point=7&sort=size&search=kept")
         page.wait("explorer.viewers.a.time === 3 && explorer.viewers.b.time === 3")
         state = page.state
-        assert {name: state[name] for name in ("case", "layout", "frame", "at", "point", "sort", "search")} == {
-            "case": 2, "layout": "map", "frame": 3, "at": 2, "point": 7, "sort": "size", "search": "kept",
-        }  # fmt: skip
+        assert {
+            name: state[name]
+            for name in ("case", "layout", "frame", "at", "point", "sort", "search")
+        } == {
+            "case": 2,
+            "layout": "map",
+            "frame": 3,
+            "at": 2,
+            "point": 7,
+            "sort": "size",
+            "search": "kept",
+        }
         assert page.tab.input_value("input[name=search]") == "kept"
         assert "Point 7 of frame 2" in page.tab.inner_text("#point")
         assert page.tab.locator("#point .answer").count() == 2  # the same click asks both
-        merged = page.tab.evaluate("explorer.cards().filter(card => card.others.b).map(card => card.others.b.number)")
+        merged = page.tab.evaluate(
+            "explorer.cards().filter(card => card.others.b).map(card => card.others.b.number)"
+        )
         assert merged
         assert len(merged) == len(set(merged))
-        shown = page.tab.evaluate("explorer.cards().filter(card => card.of === 'b').map(card => card.number)")
+        shown = page.tab.evaluate(
+            "explorer.cards().filter(card => card.of === 'b').map(card => card.number)"
+        )
         assert not set(shown) & set(merged)  # one card for a place that both get wrong
         page.tab.fill("input[name=search]", "")
         for choice in ("a", "b", "ab"):
@@ -380,7 +435,9 @@ def test_an_address_restores_two_runs_and_a_point(browser: Any, runs: dict[str, 
         page.tab.close()
 
 
-def test_a_rectangle_shows_the_evidence_of_the_points_inside(browser: Any, runs: dict[str, Path]) -> None:
+def test_a_rectangle_shows_the_evidence_of_the_points_inside(
+    browser: Any, runs: dict[str, Path]
+) -> None:
     with dv.explore(runs["fine"]) as explorer:
         page = Page(browser, explorer)
         page.open_without_viewer()
@@ -388,7 +445,9 @@ def test_a_rectangle_shows_the_evidence_of_the_points_inside(browser: Any, runs:
         pane.scroll_into_view_if_needed()
         caption, strip = "#case figure:has(.map) figcaption", "#case .ledger .strip"
         box = page.tab.locator("#case .map .pane >> nth=0").locator(".ground").bounding_box()
-        evidence = page.tab.evaluate("async () => (await (await fetch('api/evidence?run=a&case=1')).json()).map")
+        evidence = page.tab.evaluate(
+            "async () => (await (await fetch('api/evidence?run=a&case=1')).json()).map"
+        )
         along = 0 if evidence["size"][0] >= evidence["size"][1] else 1
         half = evidence["size"][along] / 2
         inside = [row for row, *at in evidence["evidence"] if at[along] <= half]
@@ -398,18 +457,28 @@ def test_a_rectangle_shows_the_evidence_of_the_points_inside(browser: Any, runs:
         page.tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] - 1, steps=3)
         page.tab.mouse.up()
         assert len(inside) > 1
-        page.wait(f"document.querySelector('{strip}').ariaLabel.includes('median of {len(inside)} points')")
+        page.wait(
+            f"document.querySelector('{strip}').ariaLabel.includes('median of {len(inside)} "
+            "points')"
+        )
         count = sum(at[along] <= half for at in evidence["points"])
-        assert page.tab.inner_text(caption).startswith(f"{count} of {len(evidence['points'])} points: ")
+        assert page.tab.inner_text(caption).startswith(
+            f"{count} of {len(evidence['points'])} points: "
+        )
         asked = next(url for url in reversed(page.requests) if "/api/evidence?" in url)
-        assert sorted(map(int, parse_qs(urlsplit(asked).query)["points"][0].split(","))) == sorted(inside)
+        assert sorted(map(int, parse_qs(urlsplit(asked).query)["points"][0].split(","))) == sorted(
+            inside
+        )
         page.tab.locator("#case .map .pane >> nth=0").focus()
         page.tab.keyboard.press("Escape")
         page.wait(
-            f"document.querySelector('{strip}').ariaLabel.includes('median of {len(evidence['evidence'])} points')"
+            f"document.querySelector('{strip}').ariaLabel.includes('median of "
+            f"{len(evidence['evidence'])} points')"
         )
         page.tab.keyboard.press("ArrowRight")  # a rectangle in the middle
-        page.wait("document.querySelector('#case .map .chosen').getAttribute('visibility') === 'visible'")
+        page.wait(
+            "document.querySelector('#case .map .chosen').getAttribute('visibility') === 'visible'"
+        )
         width = page.tab.get_attribute("#case .map .chosen", "width")
         page.tab.keyboard.press("Shift+ArrowRight")
         assert float(page.tab.get_attribute("#case .map .chosen", "width")) > float(width)
@@ -417,7 +486,9 @@ def test_a_rectangle_shows_the_evidence_of_the_points_inside(browser: Any, runs:
         page.tab.close()
 
 
-def test_of_three_runs_an_object_has_one_card_with_a_bar_for_each(browser: Any, runs: dict[str, Path]) -> None:
+def test_of_three_runs_an_object_has_one_card_with_a_bar_for_each(
+    browser: Any, runs: dict[str, Path]
+) -> None:
     with dv.explore(runs["fine"], runs["coarse"], runs["fine"]) as explorer:
         page = Page(browser, explorer)
         page.open_without_viewer()
@@ -436,8 +507,12 @@ def test_without_ground_truth_the_page_opens_at_the_first_case_of_the_recording(
     with dv.explore(runs["unknown"]) as explorer:
         page = Page(browser, explorer)
         page.open_without_viewer()
-        shown = [int(card.get_attribute("id").split("-")[-1]) for card in page.tab.locator(".card").all()]
-        assert shown == list(range(1, len(Result.load(runs["unknown"] / "result.json").clusters) + 1))
+        shown = [
+            int(card.get_attribute("id").split("-")[-1]) for card in page.tab.locator(".card").all()
+        ]
+        assert shown == list(
+            range(1, len(Result.load(runs["unknown"] / "result.json").clusters) + 1)
+        )
         page.wait("document.querySelector('#card-a-1').ariaCurrent === 'true'")
         page.tab.close()
 
@@ -445,9 +520,13 @@ def test_without_ground_truth_the_page_opens_at_the_first_case_of_the_recording(
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.slow
 @pytest.mark.parametrize("made", ["cleaned", "arrays"])
-def test_runs_of_clean_and_of_arrays_explain_a_point(browser: Any, made: str, tmp_path: Path) -> None:
+def test_runs_of_clean_and_of_arrays_explain_a_point(
+    browser: Any, made: str, tmp_path: Path
+) -> None:
     scans = room(4, 700).scans
-    local = [geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points) for scan in scans]
+    local = [
+        geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points) for scan in scans
+    ]
     arrays = [(xyz, scan.T_world_sensor) for xyz, scan in zip(local, scans, strict=True)]
     if made == "arrays":
         run: Any = dv.run("octomap", arrays, record=tmp_path / "alone.rrd")

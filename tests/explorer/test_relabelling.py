@@ -34,12 +34,18 @@ def bytes_in(folder: Path) -> dict[str, bytes]:
 def test_without_corrections_the_scores_are_those_of_the_run(run: Path) -> None:
     metrics = Result.load(run / "result.json").metrics
     found = rescore(run)
-    assert found.before == found.after == {name: pytest.approx(metrics[name]) for name in ("SA", "DA", "AA", "HA")}
+    assert (
+        found.before
+        == found.after
+        == {name: pytest.approx(metrics[name]) for name in ("SA", "DA", "AA", "HA")}
+    )
     assert (found.corrections, found.points) == (0, 0)
 
 
 @pytest.mark.parametrize("truth", ["static", "dynamic"])
-def test_the_points_in_a_box_are_scored_with_the_other_truth(run: Path, runs: dict[str, Path], truth: str) -> None:
+def test_the_points_in_a_box_are_scored_with_the_other_truth(
+    run: Path, runs: dict[str, Path], truth: str
+) -> None:
     frame, sequence = 2, runs["fine"].parent / "room"
     scans = dv.open(sequence)
     labels, known = [scan.labels for scan in scans], scans[frame].labels
@@ -49,7 +55,10 @@ def test_the_points_in_a_box_are_scored_with_the_other_truth(run: Path, runs: di
     box = Box(frame, tuple(low), tuple(high))
     before = bytes_in(run) | bytes_in(sequence)
     correct(run, digest(run), 1, Correction(1, "Kept car", truth, (box,)))  # type: ignore[arg-type]
-    inside = ((scans[frame].points >= np.array(low) - 0.02) & (scans[frame].points <= np.array(high) + 0.02)).all(1)
+    inside = (
+        (scans[frame].points >= np.array(low) - 0.02)
+        & (scans[frame].points <= np.array(high) + 0.02)
+    ).all(1)
     changed = inside & (known < 2) & (known != (truth == "dynamic"))
     labels[frame] = np.where(changed, 1 - known, known)
     removed = list(Result.load(run / "result.json").labels)
@@ -60,7 +69,9 @@ def test_the_points_in_a_box_are_scored_with_the_other_truth(run: Path, runs: di
     assert found.after["DA"] == pytest.approx(100 * answers[truths == 1].mean())
     assert str(found).endswith(f"with 1 correction of {changed.sum():,} points.")
     written = bytes_in(run) | bytes_in(sequence)
-    assert {name for name in written if written[name] != before.get(name)} == {str(run / "corrections.json")}
+    assert {name for name in written if written[name] != before.get(name)} == {
+        str(run / "corrections.json")
+    }
 
 
 def test_a_case_is_corrected_at_most_once_and_that_can_be_withdrawn(run: Path) -> None:
@@ -97,11 +108,15 @@ def test_runs_that_cannot_be_rescored(runs: dict[str, Path], tmp_path: Path) -> 
 
 
 def test_the_page_corrects_a_case(run: Path, run_command) -> None:
-    case = next(case for case in Result.load(run / "result.json").failures if case.kind == "false_negative")
+    case = next(
+        case for case in Result.load(run / "result.json").failures if case.kind == "false_negative"
+    )
     number = Result.load(run / "result.json").failures.index(case) + 1
 
     def ask(name: str, method: str = "GET", **query: object) -> dict[str, str]:
-        with urlopen(Request(f"{server.url}api/{name}?{urlencode(query)}", method=method), timeout=60) as answer:
+        with urlopen(
+            Request(f"{server.url}api/{name}?{urlencode(query)}", method=method), timeout=60
+        ) as answer:
             found: dict[str, str] = json.loads(answer.read())
             return found
 

@@ -43,7 +43,9 @@ def explorer(runs: dict[str, Path]) -> Iterator[Explorer]:
 def get(url: str, **headers: str) -> tuple[int, bytes]:
     """Status and content of an address."""
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=30) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(url, headers=headers), timeout=30
+        ) as answer:
             return answer.status, answer.read()
     except urllib.error.HTTPError as error:
         return error.code, error.read()
@@ -61,7 +63,15 @@ def test_nothing_is_served_without_the_token(explorer: Explorer) -> None:
     home, token = f"http://{parts.netloc}", parts.path.strip("/")
     assert len(token) >= 32
     assert get(explorer.url)[0] == 200
-    for path in ("/", "/main.js", "/a.rrd", "/api/runs", f"/{token[:-1]}/", f"/{token}x/api/runs", "/x/api/runs"):
+    for path in (
+        "/",
+        "/main.js",
+        "/a.rrd",
+        "/api/runs",
+        f"/{token[:-1]}/",
+        f"/{token}x/api/runs",
+        "/x/api/runs",
+    ):
         assert get(home + path)[0] == 404, path
 
 
@@ -73,7 +83,8 @@ def test_each_server_has_its_own_token(runs: dict[str, Path], explorer: Explorer
 
 
 UNLISTED = (
-    "labels.npz", "result.json", "run.rrd", "c.rrd", "server.py", "viewer/", "viewer/widget.py", "api/", "api/secret",
+    "labels.npz", "result.json", "run.rrd", "c.rrd", "server.py", "viewer/", "viewer/widget.py",
+    "api/", "api/secret",
     "../server.py", "%2e%2e/server.py", "viewer/..%2f__init__.py", "/etc/passwd", "page/main.js",
 )  # fmt: skip
 
@@ -93,11 +104,17 @@ def messages(content: bytes) -> list[int]:
     return kinds
 
 
-def test_recordings_are_served_with_a_passive_layout(explorer: Explorer, runs: dict[str, Path]) -> None:
+def test_recordings_are_served_with_a_passive_layout(
+    explorer: Explorer, runs: dict[str, Path]
+) -> None:
     for letter, run in (("a", "fine"), ("b", "coarse")):
         status, served = get(f"{explorer.url}{letter}.rrd")
         stored = (runs[run] / "run.rrd").read_bytes()
-        active, passive = b"\x10\x01\x18\x01", b"\x10\x00\x18\x01"  # the last command: make this layout active
+        # the last command: make this layout active
+        active, passive = (
+            b"\x10\x01\x18\x01",
+            b"\x10\x00\x18\x01",
+        )
         place = stored.rindex(active)
         assert status == 200
         assert served.startswith(stored[:place] + passive)
@@ -111,7 +128,9 @@ def test_recordings_are_served_with_a_passive_layout(explorer: Explorer, runs: d
 def test_it_listens_on_this_machine_alone_and_under_no_other_name(explorer: Explorer) -> None:
     address = urlsplit(explorer.url)
     assert address.hostname == "127.0.0.1"
-    with socket.socket() as elsewhere:  # all of 127.0.0.0/8 leads to this machine, but only one address is bound
+    with (
+        socket.socket() as elsewhere
+    ):  # all of 127.0.0.0/8 leads to this machine, but only one address is bound
         assert elsewhere.connect_ex(("127.0.0.2", address.port)) != 0
     assert get(explorer.url, Host="example.org")[0] == 400
 
@@ -146,7 +165,10 @@ def test_a_case_is_of_both_runs_if_both_are_wrong_at_most_of_its_points(
         outcome = Outcome.FALSE_NEGATIVE if card["kind"] == "ghost" else Outcome.FALSE_POSITIVE
         wrong = []
         for points in drawn[card["first"] : card["last"] + 1]:
-            inside = ((points.xyz > np.array(card["low"]) - 0.02) & (points.xyz < np.array(card["high"]) + 0.02)).all(1)
+            inside = (
+                (points.xyz > np.array(card["low"]) - 0.02)
+                & (points.xyz < np.array(card["high"]) + 0.02)
+            ).all(1)
             mine = points.point[inside & (points.outcome == outcome)]
             answers = others[points.frame]
             wrong += (answers.dynamic[mine] != (answers.truth[mine] == 1)).tolist()
@@ -173,21 +195,37 @@ def stored(run: Path) -> Callable[[int, int], tuple[bool, str]]:
         starts = np.concatenate([[0], np.cumsum(file["points"])])
         dynamic = np.unpackbits(file["dynamic"], count=int(starts[-1]))
         reasons, names = file["reasons"], file["reason_names"]
-    return lambda frame, point: (bool(dynamic[starts[frame] + point]), str(names[reasons[starts[frame] + point]]))
+    return lambda frame, point: (
+        bool(dynamic[starts[frame] + point]),
+        str(names[reasons[starts[frame] + point]]),
+    )
 
 
-def test_clicks_give_the_stored_label_and_reason_of_each_run(explorer: Explorer, runs: dict[str, Path]) -> None:
+def test_clicks_give_the_stored_label_and_reason_of_each_run(
+    explorer: Explorer, runs: dict[str, Path]
+) -> None:
     known = {letter: stored(runs[name]) for letter, name in (("a", "fine"), ("b", "coarse"))}
     drawn = list(RunRecording(runs["fine"] / "run.rrd").drawn())
     random, asked = np.random.default_rng(0), 0
     for points in drawn:
-        for instance in random.choice(len(points.xyz), min(9, len(points.xyz)), replace=False).tolist():
+        for instance in random.choice(
+            len(points.xyz), min(9, len(points.xyz)), replace=False
+        ).tolist():
             x, y, z = map(float, points.xyz[instance])
-            place = {"run": "a", "entity": "/world/scan", "frame": points.frame, "x": x, "y": y, "z": z}
+            place = {
+                "run": "a",
+                "entity": "/world/scan",
+                "frame": points.frame,
+                "x": x,
+                "y": y,
+                "z": z,
+            }
             found = ask(explorer, "click", **place, instance=instance)
             assert (found["frame"], found["point"]) == (points.frame, points.point[instance])
             for letter, point in found["runs"].items():
-                assert (point["removed"], point["reason"]) == known[letter](found["frame"], found["point"])
+                assert (point["removed"], point["reason"]) == known[letter](
+                    found["frame"], found["point"]
+                )
             asked += 1
     assert asked >= 40
 
@@ -197,7 +235,9 @@ def test_a_click_on_the_map_finds_the_wrong_point_in_its_frame(explorer: Explore
     point = ask(explorer, "point", frame=card["worst"], point=card["point"])
     x, y, z = point["runs"]["a"]["position"]
     place = {"run": "a", "entity": "/world/map/wrong", "x": x, "y": y, "z": z}
-    assert ask(explorer, "click", **place, frame=card["worst"], instance=0)["point"] == card["point"]
+    assert (
+        ask(explorer, "click", **place, frame=card["worst"], instance=0)["point"] == card["point"]
+    )
     found = ask(explorer, "click", **place, frame=card["last"] + 40)
     assert found["runs"]["a"]["outcome"].startswith("false")
     assert get(f"{explorer.url}api/click?run=a&entity=world/map&frame=0&x=900&y=0&z=0")[0] == 400
@@ -219,16 +259,25 @@ def test_the_evidence_on_a_case_needs_no_sequence(mailed: Explorer, runs: dict[s
     expected = json.loads(json.dumps(dv.why(runs["fine"], card["worst"], card["point"]).to_dict()))
     assert {name: answer["why"][name] for name in expected} == expected
     assert answer["why"]["ledger"]["entries"]
-    rays, none = (len(get(f"{mailed.url}api/marks?{urlencode(asked)}")[1]) for asked in (query, {"run": "a"}))
+    rays, none = (
+        len(get(f"{mailed.url}api/marks?{urlencode(asked)}")[1]) for asked in (query, {"run": "a"})
+    )
     assert rays > none
     evidence = ask(mailed, "evidence", run="a", case=1)
     assert evidence["strip"]["points"] > 1
-    assert [p["name"] for p in evidence["what_if"]["parameters"]] == ["prob_miss", "prob_hit", "clamp_min", "clamp_max"]
+    assert [p["name"] for p in evidence["what_if"]["parameters"]] == [
+        "prob_miss",
+        "prob_hit",
+        "clamp_min",
+        "clamp_max",
+    ]
 
 
 def test_a_point_without_stored_evidence_has_that_of_one_beside_it(runs: dict[str, Path]) -> None:
     run, asked = ExploredRun(runs["coarse"]), 0
-    ledgers = [ledger for case in range(1, len(run.result.failures) + 1) for ledger in run.ledgers(case)]
+    ledgers = [
+        ledger for case in range(1, len(run.result.failures) + 1) for ledger in run.ledgers(case)
+    ]
     for frame in {ledger.frame for ledger in ledgers}:
         drawn = run.drawn(frame)
         assert drawn is not None
@@ -237,7 +286,8 @@ def test_a_point_without_stored_evidence_has_that_of_one_beside_it(runs: dict[st
             alike = {
                 ledger.point: math.dist(ledger.position, point["position"])
                 for ledger in ledgers
-                if (ledger.frame, ledger.removed, ledger.reason.name) == (frame, point["removed"], point["reason"])
+                if (ledger.frame, ledger.removed, ledger.reason.name)
+                == (frame, point["removed"], point["reason"])
             }
             found = run.stored(frame, row)
             if min(alike.values(), default=math.inf) > 0.5:
@@ -249,7 +299,9 @@ def test_a_point_without_stored_evidence_has_that_of_one_beside_it(runs: dict[st
     assert asked
 
 
-def test_the_evidence_of_chosen_points_is_that_of_their_ledgers(mailed: Explorer, runs: dict[str, Path]) -> None:
+def test_the_evidence_of_chosen_points_is_that_of_their_ledgers(
+    mailed: Explorer, runs: dict[str, Path]
+) -> None:
     ledgers = RunRecording(runs["fine"] / "run.rrd").ledgers(1)
     drawn = ask(mailed, "evidence", run="a", case=1)["map"]
     assert [row for row, *_ in drawn["evidence"]] == [ledger.point for ledger in ledgers]
@@ -270,7 +322,9 @@ def test_the_map_of_a_case_contains_its_points(runs: dict[str, Path]) -> None:
         assert np.allclose(found["points"] + card.low - MAP_MARGIN, mine, atol=0.01)
         assert len(found["around"][card.outcome.name.lower()]) >= len(mine)
         places = np.array([place for _, *place in found["evidence"]])
-        assert ((places >= MAP_MARGIN - 0.02) & (places <= np.array(found["size"]) - MAP_MARGIN + 0.02)).all()
+        assert (
+            (places >= MAP_MARGIN - 0.02) & (places <= np.array(found["size"]) - MAP_MARGIN + 0.02)
+        ).all()
 
 
 def test_other_points_are_explained_by_a_replay(explorer: Explorer, runs: dict[str, Path]) -> None:
@@ -286,11 +340,15 @@ def test_other_points_are_explained_by_a_replay(explorer: Explorer, runs: dict[s
     assert {name: answer["why"][name] for name in expected} == expected
 
 
-def test_a_run_with_other_parameters_opens_the_comparison(runs: dict[str, Path], tmp_path: Path) -> None:
+def test_a_run_with_other_parameters_opens_the_comparison(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
     shutil.copytree(runs["fine"], tmp_path / "fine")
     with dv.explore(tmp_path / "fine") as server:
         query = urlencode({"run": "a", "settings": json.dumps({"prob_miss": 0.3})})
-        with urllib.request.urlopen(urllib.request.Request(f"{server.url}api/run?{query}", method="POST")) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(f"{server.url}api/run?{query}", method="POST")
+        ) as answer:
             state = json.load(answer)
         end = time.monotonic() + 60
         while "phase" in state:
@@ -300,7 +358,12 @@ def test_a_run_with_other_parameters_opens_the_comparison(runs: dict[str, Path],
         with urllib.request.urlopen(f"{state['url']}api/runs", timeout=30) as answer:
             compared = json.load(answer)
     assert [compared[letter]["variant"] for letter in "ab"] == ["", "prob_miss=0.3"]
-    assert Result.load(tmp_path / "fine" / "with_prob_miss=0.3" / "result.json").parameters["prob_miss"] == 0.3
+    assert (
+        Result.load(tmp_path / "fine" / "with_prob_miss=0.3" / "result.json").parameters[
+            "prob_miss"
+        ]
+        == 0.3
+    )
 
 
 @pytest.mark.parametrize(
@@ -323,10 +386,13 @@ def test_wrong_questions_get_a_line(explorer: Explorer, question: str, message: 
 
 
 @pytest.mark.parametrize(
-    "question", ["loading", "layout?case=1", "layout?case=1&first=1", "layout?case=1&layout=map", "marks"]
+    "question",
+    ["loading", "layout?case=1", "layout?case=1&first=1", "layout?case=1&layout=map", "marks"],
 )
 def test_layouts_and_marks_are_recordings(explorer: Explorer, question: str) -> None:
-    assert get(f"{explorer.url}api/{question}{'&' if '?' in question else '?'}run=b")[1].startswith(b"RRF2")
+    assert get(f"{explorer.url}api/{question}{'&' if '?' in question else '?'}run=b")[1].startswith(
+        b"RRF2"
+    )
 
 
 def test_files_are_written_on_request_only(explorer: Explorer, runs: dict[str, Path]) -> None:
@@ -336,15 +402,21 @@ def test_files_are_written_on_request_only(explorer: Explorer, runs: dict[str, P
 
 def pixels(png: bytes) -> U8:
     """(rows, columns, 3) uint8 RGB."""
-    return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)[:, :, ::-1]
+    return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)[
+        :, :, ::-1
+    ]
 
 
 def test_cases_are_drawn_at_once(explorer: Explorer) -> None:
-    small, large = (get(f"{explorer.url}api/drawing?case=1{size}")[1] for size in ("", "&width=640&height=400"))
+    small, large = (
+        get(f"{explorer.url}api/drawing?case=1{size}")[1] for size in ("", "&width=640&height=400")
+    )
     assert pixels(small).shape == (108, 168, 3)
     assert pixels(large).shape == (400, 640, 3)
     facts = ask(explorer, "runs")["a"]["cases"][0]
-    colour = colours.BRIGHT[OUTCOMES["false_negative" if facts["kind"] == "ghost" else "false_positive"]]
+    colour = colours.BRIGHT[
+        OUTCOMES["false_negative" if facts["kind"] == "ghost" else "false_positive"]
+    ]
     rows, columns = np.nonzero((pixels(large) == colour).all(2))
     assert len(rows)
     assert 200 - 40 < np.median(rows) < 200 + 40  # the eye looks at the middle of the case
@@ -371,9 +443,14 @@ def test_runs_that_cannot_be_explored(runs: dict[str, Path], tmp_path: Path) -> 
         dv.explore(runs["fine"], runs["unknown"])
 
 
-def test_results_are_explored_in_the_folder_of_their_run(runs: dict[str, Path], tmp_path: Path) -> None:
+def test_results_are_explored_in_the_folder_of_their_run(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
     scans = dv.open(runs["fine"].parent / "room", frames="0:2")
-    results = [Result.load(runs["fine"] / "result.json"), dv.run("octomap", scans, out=tmp_path / "run")]
+    results = [
+        Result.load(runs["fine"] / "result.json"),
+        dv.run("octomap", scans, out=tmp_path / "run"),
+    ]
     for result, frames in zip(results, (6, 2), strict=True):
         with dv.explore(result) as server:
             assert ask(server, "runs")["a"]["frames"] == frames

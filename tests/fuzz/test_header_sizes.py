@@ -1,4 +1,6 @@
-"""Headers that state more data than the file contains are refused without allocating that much memory."""
+"""Headers that state more data than the file contains are refused without allocating that much
+memory.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +34,15 @@ READERS: dict[str, Callable[[Path], Any]] = {
 
 def pcd(data: str, body: bytes = b"1 2 3\n") -> bytes:
     fields = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
-    return f"{fields}WIDTH 300000000000\nHEIGHT 1\nPOINTS 300000000000\nDATA {data}\n".encode() + body
+    return (
+        f"{fields}WIDTH 300000000000\nHEIGHT 1\nPOINTS 300000000000\nDATA {data}\n".encode() + body
+    )
 
 
 def ply(order: str) -> bytes:
     properties = "".join(f"property float {axis}\n" for axis in "xyz")
-    return f"ply\nformat {order} 1.0\nelement vertex 99999999999999\n{properties}end_header\n1 2 3\n".encode()
+    head = f"ply\nformat {order} 1.0\nelement vertex 99999999999999\n{properties}end_header\n"
+    return f"{head}1 2 3\n".encode()
 
 
 def npy() -> bytes:
@@ -49,7 +54,9 @@ def las(version: int, counts: bytes, at: int) -> bytes:
     content = bytearray(500)
     content[:4], content[24:26] = b"LASF", bytes([1, version])
     size = 375 if version == 4 else 227
-    struct.pack_into("<HIIBH", content, 94, size, size, 0, 1 if version < 4 else 6, 28 if version < 4 else 30)
+    struct.pack_into(
+        "<HIIBH", content, 94, size, size, 0, 1 if version < 4 else 6, 28 if version < 4 else 30
+    )
     struct.pack_into("<3d", content, 131, 0.001, 0.001, 0.001)
     content[at : at + len(counts)] = counts
     return bytes(content)
@@ -65,7 +72,11 @@ ENTITY_EXPANSION = (
 FILES: dict[str, tuple[str, bytes, str]] = {
     "pcd, ascii": (".pcd", pcd("ascii"), "points"),
     "pcd, binary": (".pcd", pcd("binary"), "points"),
-    "pcd, compressed": (".pcd", pcd("binary_compressed", struct.pack("<II", 20, 2**32 - 1) + bytes(20)), "points"),
+    "pcd, compressed": (
+        ".pcd",
+        pcd("binary_compressed", struct.pack("<II", 20, 2**32 - 1) + bytes(20)),
+        "points",
+    ),
     "ply, ascii": (".ply", ply("ascii"), "points"),
     "ply, binary": (".ply", ply("binary_little_endian"), "points"),
     "npy": (".npy", npy(), "points"),
@@ -91,7 +102,10 @@ def false_sizes(content: bytes, kind: str) -> Iterator[tuple[str, int, bytes]]:
 
 
 def jobs(folder: Path) -> Iterator[tuple[str, str, Path]]:
-    """Name, reader and path of each file; valid files come first, so that all libraries are loaded."""
+    """Name, reader and path of each file.
+
+    Valid files come first, so that all libraries are loaded.
+    """
     write_table(folder / "a.feather", {"x": XYZ[0, :, 0]})
     valid = {"feather": ("feather", folder / "a.feather")}
     for suffix in (".las", ".laz", ".npy", ".pcd", ".ply"):
@@ -134,13 +148,23 @@ def test_false_sizes_are_refused_with_little_memory(tmp_path: Path) -> None:
     folders = [str(tests), str(tests / "fuzz")]
     script = (
         f"import json, sys; sys.path[:0] = {folders!r}\n"
-        "from test_header_sizes import read_with_little_memory\nread_with_little_memory(json.load(sys.stdin))"
+        "from test_header_sizes import "
+        "read_with_little_memory\nread_with_little_memory(json.load(sys.stdin))"
     )
     child = subprocess.run(
-        [sys.executable, "-c", script], input=json.dumps(work), capture_output=True, text=True, check=False, timeout=300
+        [sys.executable, "-c", script],
+        input=json.dumps(work),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
     )
     outcomes = dict(json.loads(line) for line in child.stdout.splitlines())
-    assert list(outcomes) == [name for name, _, _ in work], f"the reader exited with {child.returncode}: {child.stderr}"
+    assert list(outcomes) == [name for name, _, _ in work], (
+        f"the reader exited with {child.returncode}: {child.stderr}"
+    )
     for name, outcome in outcomes.items():
-        assert outcome.startswith("read" if name.startswith("valid") else "refused"), f"{name}: {outcome}"
+        assert outcome.startswith("read" if name.startswith("valid") else "refused"), (
+            f"{name}: {outcome}"
+        )
         assert "llocate" not in outcome, f"{name}: the stated size was allocated: {outcome}"

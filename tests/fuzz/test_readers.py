@@ -1,7 +1,10 @@
-"""Readers of damaged files return complete data or refuse the file in one line; they never crash or hang.
+"""Readers of damaged files return complete data or refuse the file in one line.
 
-By default each reader sees a few damaged files; ``FUZZ=2000 pytest tests/fuzz -k poses`` tries more. A file that makes
-a reader fail is kept in the folder of the test. ``helpers/fuzzing.py`` reads many in child processes.
+They never crash or hang.
+
+By default each reader sees a few damaged files; ``FUZZ=2000 pytest tests/fuzz -k poses`` tries
+more. A file that makes a reader fail is kept in the folder of the test. ``helpers/fuzzing.py``
+reads many in child processes.
 """
 
 from __future__ import annotations
@@ -21,14 +24,21 @@ from dynaviz.cli import app
 from dynaviz.contracts import registry
 
 DEFAULT_EXAMPLES = 5  # damaged files per reader
-SLOW = ("dynaviz tune (with the search)", "dynaviz report (HTML, drawn)", "dynaviz bench")  # a second or more per file
+# a second or more per file
+SLOW = (
+    "dynaviz tune (with the search)",
+    "dynaviz report (HTML, drawn)",
+    "dynaviz bench",
+)
 EXAMPLES = int(os.environ.get("FUZZ", DEFAULT_EXAMPLES))
 
 
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
     mutants = Mutants(name, tmp_path)
-    assert reads_or_refuses(mutants.subject.read, mutants.example, tmp_path), "the example itself is refused"
+    assert reads_or_refuses(mutants.subject.read, mutants.example, tmp_path), (
+        "the example itself is refused"
+    )
     contents = mutants.contents
     damaged_files: list[Path] = []
 
@@ -69,7 +79,9 @@ def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name not in SLOW])
 def test_commands_read_or_refuse_damaged_files(name: str, tmp_path: Path) -> None:
     mutants = Mutants(name, tmp_path)
-    assert reads_or_refuses(mutants.subject.read, mutants.example, tmp_path), "the example itself is refused"
+    assert reads_or_refuses(mutants.subject.read, mutants.example, tmp_path), (
+        "the example itself is refused"
+    )
     for seed in range(EXAMPLES // 2):
         mutants.read(seed)
 
@@ -81,5 +93,11 @@ def test_every_command_that_reads_files_has_an_example() -> None:
 
 
 def test_every_data_set_has_an_example() -> None:
-    names = {handle.name for handle in registry.handles("datasets") if handle.distribution == "dynaviz"}
-    assert set(DATASETS) == names - {"implant", "simulate", "merged"}  # no files of their own; SUBJECTS has the last
+    names = {
+        handle.name for handle in registry.handles("datasets") if handle.distribution == "dynaviz"
+    }
+    assert set(DATASETS) == names - {
+        "implant",
+        "simulate",
+        "merged",
+    }  # no files of their own; SUBJECTS has the last

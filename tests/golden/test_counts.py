@@ -1,11 +1,12 @@
 """Each method's counts on simulated scenes match the recorded ones.
 
-After a change that is meant to change labels, run ``DYNAVIZ_REWRITE=1 pytest tests/golden`` to record new counts; the
-diff of ``counts.json`` then shows the changes.
+After a change that is meant to change labels, run ``DYNAVIZ_REWRITE=1 pytest tests/golden`` to
+record new counts; the diff of ``counts.json`` then shows the changes.
 
-The scenes are simulated here, so the last digits of their points depend on the machine's mathematical library and
-vector units. If the digest of a scene is the recorded one, counts must be equal. Otherwise each may differ by a few
-per thousand of all points, because last digits matter for points on the border of a voxel or a bin.
+The scenes are simulated here, so the last digits of their points depend on the machine's
+mathematical library and vector units. If the digest of a scene is the recorded one, counts must be
+equal. Otherwise each may differ by a few per thousand of all points, because last digits matter for
+points on the border of a voxel or a bin.
 """
 
 from __future__ import annotations
@@ -29,10 +30,14 @@ REWRITE = "DYNAVIZ_REWRITE" in os.environ
 SCENES = {"demo": (12, 1), "square_mid360": (18, 3)}  # number of frames, and stride
 KINDS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept")
 TOLERANCE = 0.003  # share of all points, if the scene itself differs in last digits
-METHODS = [handle.name for handle in registry.handles("methods") if handle.distribution == "dynaviz"]
+METHODS = [
+    handle.name for handle in registry.handles("methods") if handle.distribution == "dynaviz"
+]
 
 
-@pytest.fixture(scope="module", params=[pytest.param("demo", marks=pytest.mark.slow), "square_mid360"])
+@pytest.fixture(
+    scope="module", params=[pytest.param("demo", marks=pytest.mark.slow), "square_mid360"]
+)
 def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Sequence:
     folder = tmp_path_factory.mktemp("scenes") / request.param
     frames, stride = SCENES[request.param]
@@ -81,7 +86,9 @@ def test_counts_do_not_depend_on_the_number_of_threads(name: str, scene: Sequenc
 def _a_line_each(table: dict[str, dict[str, Any]]) -> str:
     """JSON with one line per method, so that a diff shows which methods changed."""
     scenes = [
-        f' "{name}": {{\n' + ",\n".join(f'  "{key}": {json.dumps(value)}' for key, value in row.items()) + "\n }"
+        f' "{name}": {{\n'
+        + ",\n".join(f'  "{key}": {json.dumps(value)}' for key, value in row.items())
+        + "\n }"
         for name, row in table.items()
     ]
     return "{\n" + ",\n".join(scenes) + "\n}\n"

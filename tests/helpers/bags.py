@@ -29,15 +29,26 @@ class BagWriter:
         if "tf2_msgs/msg/TFMessage" not in self.store.types:
             text = "geometry_msgs/msg/TransformStamped[] transforms"
             self.store.register(get_types_from_msg(text, "tf2_msgs/msg/TFMessage"))
-        plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP, "ros1": StoragePlugin.SQLITE3}[kind]
-        self.writer: Any = Writer1(self.path) if self.ros1 else Writer2(path, version=9, storage_plugin=plugin)
+        plugin = {
+            "sqlite3": StoragePlugin.SQLITE3,
+            "mcap": StoragePlugin.MCAP,
+            "ros1": StoragePlugin.SQLITE3,
+        }[kind]
+        self.writer: Any = (
+            Writer1(self.path) if self.ros1 else Writer2(path, version=9, storage_plugin=plugin)
+        )
         self.connections: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
         self.writer.open()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.writer.close()
 
     def make(self, kind: str, **values: Any) -> Any:
@@ -89,14 +100,25 @@ class BagWriter:
             offsets.append(offset)
             offset += column.dtype.itemsize + gap
         formats = [column.dtype.newbyteorder(order) for column in columns.values()]
-        layout = {"names": list(columns), "formats": formats, "offsets": offsets, "itemsize": offset}
+        layout = {
+            "names": list(columns),
+            "formats": formats,
+            "offsets": offsets,
+            "itemsize": offset,
+        }
         rows = np.zeros(len(next(iter(columns.values()))), np.dtype(layout))  # type: ignore[call-overload]
         for name, column in columns.items():
             rows[name] = column
         body = rows.view(np.uint8).reshape(height, -1)
         body = np.pad(body, ((0, 0), (0, row_gap)), constant_values=255)
         fields = [
-            self.make("sensor_msgs/msg/PointField", name=name, offset=at, datatype=DATATYPES[c.dtype.str[1:]], count=1)
+            self.make(
+                "sensor_msgs/msg/PointField",
+                name=name,
+                offset=at,
+                datatype=DATATYPES[c.dtype.str[1:]],
+                count=1,
+            )
             for (name, c), at in zip(columns.items(), offsets, strict=True)
         ]
         message = self.make(
@@ -122,7 +144,9 @@ class BagWriter:
     def _pose(self, T: np.ndarray) -> Any:
         xyz, rotation = self._parts(T)
         return self.make(
-            "geometry_msgs/msg/Pose", position=self.make("geometry_msgs/msg/Point", **xyz), orientation=rotation
+            "geometry_msgs/msg/Pose",
+            position=self.make("geometry_msgs/msg/Point", **xyz),
+            orientation=rotation,
         )
 
     def odometry(
@@ -141,16 +165,28 @@ class BagWriter:
             "nav_msgs/msg/Odometry",
             header=self.header(seconds, world),
             child_frame_id=child,
-            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=self._pose(T), covariance=np.zeros(36)),
-            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+            pose=self.make(
+                "geometry_msgs/msg/PoseWithCovariance", pose=self._pose(T), covariance=np.zeros(36)
+            ),
+            twist=self.make(
+                "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)
+            ),
         )
         self.write(topic, recorded if recorded is not None else seconds or 0.0, message)
 
-    def pose(self, seconds: float, T: np.ndarray, *, topic: str = "/pose", world: str = "map") -> None:
+    def pose(
+        self, seconds: float, T: np.ndarray, *, topic: str = "/pose", world: str = "map"
+    ) -> None:
         header = self.header(seconds, world)
-        self.write(topic, seconds, self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self._pose(T)))
+        self.write(
+            topic,
+            seconds,
+            self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self._pose(T)),
+        )
 
-    def transform(self, seconds: float, parent: str, child: str, T: np.ndarray, *, static: bool = False) -> None:
+    def transform(
+        self, seconds: float, parent: str, child: str, T: np.ndarray, *, static: bool = False
+    ) -> None:
         xyz, rotation = self._parts(T)
         link = self.make(
             "geometry_msgs/msg/TransformStamped",
@@ -162,7 +198,11 @@ class BagWriter:
                 rotation=rotation,
             ),
         )
-        self.write("/tf_static" if static else "/tf", seconds, self.make("tf2_msgs/msg/TFMessage", transforms=[link]))
+        self.write(
+            "/tf_static" if static else "/tf",
+            seconds,
+            self.make("tf2_msgs/msg/TFMessage", transforms=[link]),
+        )
 
 
 def columns(xyz: np.ndarray, kind: str = "f4", **more: np.ndarray) -> dict[str, np.ndarray]:

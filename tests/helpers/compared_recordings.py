@@ -31,7 +31,14 @@ def record_runs(folder: Path) -> dict[str, Path]:
     """Folders of the runs, by ``MODE/fine`` and ``MODE/coarse``."""
     sequence = odd_room()
     for mode, (name, size) in itertools.product(MODES, (("fine", 0.15), ("coarse", 0.6))):
-        dv.run("octomap", sequence, out=folder / mode / name, record=mode, settings=(f"resolution={size}",), threads=1)  # type: ignore[arg-type]
+        dv.run(
+            "octomap",
+            sequence,
+            out=folder / mode / name,
+            record=mode,
+            settings=(f"resolution={size}",),
+            threads=1,
+        )  # type: ignore[arg-type]
     return {f"{mode}/{name}": folder / mode / name for mode in MODES for name in ("fine", "coarse")}
 
 

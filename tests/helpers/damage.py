@@ -1,4 +1,7 @@
-"""Random damage to files: bytes cut, flipped or moved, numbers, words and lines changed, or new content."""
+"""Random damage to files.
+
+Bytes cut, flipped or moved, numbers, words and lines changed, or new content.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,50 @@ from hypothesis import strategies as st
 
 _TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[^\s"<>=,:;\[\]{}/]+')
 _WORDS = [
-    *(b"nan", b"-inf", b"1e999", b"-1", b"0", b"1", b"0.5", b"1e19", b"1e-999", b"99999999999999999999", b"9" * 5000),
-    *(b"9223372036854775807", b"-9223372036854775809", b"4294967296", b"281474976710655", b"1000000000000"),
-    *(b'""', b"null", b"[]", b"{}", b"true", b"[1]", b'{"a": 1}', b'"x"', b"x", b"a b", b"\xff\xfe", b"\x00", b"\x1b["),
-    *(b"[" * 100_000, b'{"a":' * 50_000, b"\n", b"#", b'"' + b"x" * 300 + b'"', b"../x", b"\xe2\x80\xae"),
+    *(
+        b"nan",
+        b"-inf",
+        b"1e999",
+        b"-1",
+        b"0",
+        b"1",
+        b"0.5",
+        b"1e19",
+        b"1e-999",
+        b"99999999999999999999",
+        b"9" * 5000,
+    ),
+    *(
+        b"9223372036854775807",
+        b"-9223372036854775809",
+        b"4294967296",
+        b"281474976710655",
+        b"1000000000000",
+    ),
+    *(
+        b'""',
+        b"null",
+        b"[]",
+        b"{}",
+        b"true",
+        b"[1]",
+        b'{"a": 1}',
+        b'"x"',
+        b"x",
+        b"a b",
+        b"\xff\xfe",
+        b"\x00",
+        b"\x1b[",
+    ),
+    *(
+        b"[" * 100_000,
+        b'{"a":' * 50_000,
+        b"\n",
+        b"#",
+        b'"' + b"x" * 300 + b'"',
+        b"../x",
+        b"\xe2\x80\xae",
+    ),
 ]
 _NUMBERS = [
     *(struct.pack("<I", n) for n in (0, 1, 2**24, 2**31 - 1, 2**31, 2**32 - 1)),
@@ -40,7 +83,11 @@ def _position(draw: st.DrawFn, content: bytes) -> int:
     """A position, more often near the beginning or the end, where headers and indices are."""
     last = max(len(content) - 1, 0)
     near = min(last, 200)
-    return draw(st.integers(0, last) | st.integers(0, near) | st.integers(0, near).map(lambda back: last - back))
+    return draw(
+        st.integers(0, last)
+        | st.integers(0, near)
+        | st.integers(0, near).map(lambda back: last - back)
+    )
 
 
 def _cut(draw: st.DrawFn, content: bytes) -> bytes:
@@ -72,7 +119,9 @@ def _word(draw: st.DrawFn, content: bytes) -> bytes:
         return content
     first, last = draw(st.sampled_from(words))
     other = draw(st.sampled_from(words))
-    return content[:first] + draw(st.sampled_from([*_WORDS, content[slice(*other)]])) + content[last:]
+    return (
+        content[:first] + draw(st.sampled_from([*_WORDS, content[slice(*other)]])) + content[last:]
+    )
 
 
 def _line(draw: st.DrawFn, content: bytes) -> bytes:
@@ -82,7 +131,15 @@ def _line(draw: st.DrawFn, content: bytes) -> bytes:
     return b"".join(lines[:k] + draw(st.sampled_from([[], [lines[k]] * 2])) + lines[k + 1 :])
 
 
-_CHANGES: list[Callable[[st.DrawFn, bytes], bytes]] = [_cut, _flip, _number, _splice, _word, _word, _line]
+_CHANGES: list[Callable[[st.DrawFn, bytes], bytes]] = [
+    _cut,
+    _flip,
+    _number,
+    _splice,
+    _word,
+    _word,
+    _line,
+]
 
 
 def remove(path: Path) -> None:
@@ -106,4 +163,8 @@ def messages(recording: bytes) -> list[tuple[int, bytes]]:
 def recording_of(original: bytes, parts: list[tuple[int, bytes]]) -> bytes:
     """A recording with the head and tail of another and these messages."""
     end = 12 + sum(16 + len(content) for _, content in messages(original))
-    return original[:12] + b"".join(struct.pack("<QQ", kind, len(part)) + part for kind, part in parts) + original[end:]
+    return (
+        original[:12]
+        + b"".join(struct.pack("<QQ", kind, len(part)) + part for kind, part in parts)
+        + original[end:]
+    )

@@ -26,7 +26,9 @@ INFO = MethodInfo(
 )
 
 
-def labelled(frame: int, points: Any, labels: int, dynamic: bool, reasons: int = 0, **fields: Any) -> Labelled:
+def labelled(
+    frame: int, points: Any, labels: int, dynamic: bool, reasons: int = 0, **fields: Any
+) -> Labelled:
     """A scan whose points share a label, an answer and a reason."""
     points = np.asarray(points, np.float32).reshape(-1, 3)
     n = len(points)

@@ -1,6 +1,9 @@
-"""Read damaged files and check that each is read or refused: ``python -m helpers.fuzzing NAME... [-n 10000] [-s 1]``.
+"""Read damaged files and check that each is read or refused: ``python -m helpers.fuzzing NAME...
 
-As a program it reads them in child processes, so that it reports crashes, hangs and memory, too; run it in ``tests``.
+[-n 10000] [-s 1]``.
+
+As a program it reads them in child processes, so that it reports crashes, hangs and memory, too;
+run it in ``tests``.
 """
 
 from __future__ import annotations
@@ -59,7 +62,10 @@ def time_limit(seconds: int) -> Iterator[None]:
 
 
 def reads_or_refuses(read: Callable[[Path], Any], path: Path, folder: Path) -> bool:
-    """Whether the file was read; fails unless the reader succeeds, returns False, or raises a readable error."""
+    """Whether the file was read.
+
+    Fails unless the reader succeeds, returns False, or raises a readable error.
+    """
     refusal, read_it = None, True
     with warnings.catch_warnings(record=True) as caught, time_limit(TIMEOUT):
         warnings.simplefilter("always")
@@ -68,14 +74,21 @@ def reads_or_refuses(read: Callable[[Path], Any], path: Path, folder: Path) -> b
         except DynavizError as error:
             refusal = error
         except Exception as error:  # shown in short form, because the text may be very long
-            places = [f"{Path(at.filename).name}:{at.lineno}" for at in traceback.extract_tb(error.__traceback__)]
-            raise AssertionError(f"{type(error).__name__}: {str(error)[:200]} at {' '.join(places)}") from None
+            places = [
+                f"{Path(at.filename).name}:{at.lineno}"
+                for at in traceback.extract_tb(error.__traceback__)
+            ]
+            raise AssertionError(
+                f"{type(error).__name__}: {str(error)[:200]} at {' '.join(places)}"
+            ) from None
     unexpected = [str(warning.message) for warning in caught if warning.category is not UserWarning]
     assert not unexpected, f"warned: {unexpected}"
     if refusal:
         assert str(refusal).isprintable(), f"not one printable line: {str(refusal)!r}"
         assert len(str(refusal)) < 2500, f"{len(str(refusal))} characters: {str(refusal)[:200]}"
-        assert not isinstance(refusal, DataError) or Path(refusal.path).is_relative_to(folder), refusal
+        assert not isinstance(refusal, DataError) or Path(refusal.path).is_relative_to(folder), (
+            refusal
+        )
     return refusal is None and read_it
 
 
@@ -91,12 +104,16 @@ class Mutants:
         self.subject, self.folder = EVERYTHING[name], folder
         self.example = self.subject.make(folder)
         self.contents = {file: file.read_bytes() for file in parts(folder, self.subject.target)}
-        # One file of each kind first, so that a single table is damaged as often as one of many sweeps.
+        # One file of each kind first, so that a single table is damaged as often as one of many
+        # sweeps.
         kinds = {(file.parent, file.suffix): file for file in self.contents}
         self.choices = [*kinds.values(), *self.contents]
 
     def read(self, seed: int) -> bool:
-        """Damage a file, and read the example; whether it was read. A file that makes the reader fail is kept."""
+        """Damage a file, and read the example; whether it was read.
+
+        A file that makes the reader fail is kept.
+        """
         random = Random(seed)
         file = random.choice(self.choices)
         content = damaged_structure(file, self.contents[file], random)
@@ -114,13 +131,27 @@ class Mutants:
 
 
 def main() -> None:
-    """Fuzz subjects; print a line for each, and one for each failure. Exits with 1 if there is one."""
+    """Fuzz subjects; print a line for each, and one for each failure.
+
+    Exits with 1 if there is one.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(SUBJECTS), help="of readers or commands; default: all readers")
+    parser.add_argument(
+        "names",
+        nargs="*",
+        default=list(SUBJECTS),
+        help="of readers or commands; default: all readers",
+    )
     parser.add_argument("-n", type=int, default=1000, help="number of files per subject")
-    parser.add_argument("-s", type=int, default=int(os.environ.get("FUZZ_SEED", "1")), help="first seed")
-    parser.add_argument("-j", type=int, default=1, help="number of processes, each with its share of the subjects")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="time limit of all subjects together")
+    parser.add_argument(
+        "-s", type=int, default=int(os.environ.get("FUZZ_SEED", "1")), help="first seed"
+    )
+    parser.add_argument(
+        "-j", type=int, default=1, help="number of processes, each with its share of the subjects"
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=math.inf, help="time limit of all subjects together"
+    )
     options = parser.parse_args()
     end = time.monotonic() + options.seconds
     read_once()
@@ -130,8 +161,11 @@ def main() -> None:
         if not jobs[-1]:
             names = options.names[first :: options.j][::-1]  # the fast ones are at the end
             seeds = range(options.s, options.s + options.n)
-            # Each subject has an equal share of the time that is left, so that slow ones use what fast ones leave.
-            failed = sum(fuzz(name, seeds, _share(end, len(names) - k)) for k, name in enumerate(names))
+            # Each subject has an equal share of the time that is left, so that slow ones use what
+            # fast ones leave.
+            failed = sum(
+                fuzz(name, seeds, _share(end, len(names) - k)) for k, name in enumerate(names)
+            )
             os._exit(failed > 0)
     sys.exit(max(os.waitstatus_to_exitcode(os.waitpid(job, 0)[1]) for job in jobs))
 
@@ -141,7 +175,10 @@ def _share(end: float, subjects: int) -> float:
 
 
 def fuzz(name: str, seeds: range, until: float) -> int:
-    """Read the damaged files of a subject in child processes and print the outcomes; returns the number of failures."""
+    """Read the damaged files of a subject in child processes and print the outcomes.
+
+    Returns the number of failures.
+    """
     start, counts, most, done = time.monotonic(), Counter[str](), 0, 0
     while done < len(seeds) and time.monotonic() < until:
         for outcome, memory in batch(name, seeds[done : done + BATCH], until):
@@ -152,12 +189,18 @@ def fuzz(name: str, seeds: range, until: float) -> int:
             most, done = max(most, memory), done + 1
     files = ", ".join(f"{count:,} {outcome}" for outcome, count in sorted(counts.items()))
     took = time.monotonic() - start
-    print(f"{name}: {files}; at most {most >> 20} MB; {took:.0f} s, {done / took:.0f} per second", flush=True)
+    print(
+        f"{name}: {files}; at most {most >> 20} MB; {took:.0f} s, {done / took:.0f} per second",
+        flush=True,
+    )
     return counts["failed"]
 
 
 def batch(name: str, seeds: range, until: float) -> Iterator[tuple[str, int]]:
-    """Outcome and additional bytes of memory per seed, read in a child process; ends at the first crash or hang."""
+    """Outcome and additional bytes of memory per seed, read in a child process.
+
+    Ends at the first crash or hang.
+    """
     receive, send = os.pipe()
     with tempfile.TemporaryDirectory() as folder:
         child = os.fork()
@@ -180,7 +223,11 @@ def batch(name: str, seeds: range, until: float) -> Iterator[tuple[str, int]]:
         assert ready, f"{name}: the example cannot be read: {messages}"
         if status:
             kept = shutil.copytree(folder, tempfile.mkdtemp(prefix="crash-"), dirs_exist_ok=True)
-            problem = f"the process ended with {status}" if status != 1 else f"no answer after {2 * TIMEOUT} s"
+            problem = (
+                f"the process ended with {status}"
+                if status != 1
+                else f"no answer after {2 * TIMEOUT} s"
+            )
             yield f"{problem}: {' '.join(messages.split())}; the files are kept in {kept}", 0
 
 
@@ -188,12 +235,16 @@ def read_all(name: str, folder: Path, seeds: range, until: float, out: Any) -> N
     """Runs in the child process; prints a line when it is ready, and one after each file."""
     folder.mkdir()
     mutants = Mutants(name, folder)
-    assert reads_or_refuses(mutants.subject.read, mutants.example, folder)  # loads all libraries, too
+    assert reads_or_refuses(
+        mutants.subject.read, mutants.example, folder
+    )  # loads all libraries, too
     print("ready", file=out, flush=True)
     for seed in seeds:
         if time.monotonic() > until:
             break
-        faulthandler.dump_traceback_later(2 * TIMEOUT, exit=True)  # ends hangs in compiled code, too
+        faulthandler.dump_traceback_later(
+            2 * TIMEOUT, exit=True
+        )  # ends hangs in compiled code, too
         before = memory(reset=True)
         try:
             outcome = "read" if mutants.read(seed) else "refused"
@@ -204,7 +255,9 @@ def read_all(name: str, folder: Path, seeds: range, until: float, out: Any) -> N
 
 
 def memory(reset: bool = False) -> int:
-    """Bytes that this process has used at most, since the last reset if the system can forget what was before."""
+    """Bytes that this process has used at most, since the last reset if the system can forget what
+    was before.
+    """
     with contextlib.suppress(OSError):
         if reset:
             Path("/proc/self/clear_refs").write_text("5")

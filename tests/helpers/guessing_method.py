@@ -41,7 +41,10 @@ class GuessParams:
 
 
 class Guess:
-    """Removes points below a height in a band beyond the track: right about the box, wrong about the floor."""
+    """Removes points below a height in a band beyond the track.
+
+    Right about the box, wrong about the floor.
+    """
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "guess",
@@ -80,8 +83,12 @@ class Guess:
         probe.emit("kinds", PointClasses((np.abs(xyz[:, 0]) > 3).astype(np.uint8)))
         probe.emit("ground", Mask(xyz[:, 2] < 0.05))
         probe.emit("plane", Plane(np.array([0.0, 0.0, 2.0]), 0.0, scan.position, 4.0))
-        probe.emit("ranges", RangeImage(np.linspace(0, 12, 16 * 90, dtype=np.float32).reshape(16, 90)))
-        probe.emit("bins", PolarGrid(np.linspace(0, 4, 8 * 36, dtype=np.float32).reshape(8, 36), 12.0))
+        probe.emit(
+            "ranges", RangeImage(np.linspace(0, 12, 16 * 90, dtype=np.float32).reshape(16, 90))
+        )
+        probe.emit(
+            "bins", PolarGrid(np.linspace(0, 4, 8 * 36, dtype=np.float32).reshape(8, 36), 12.0)
+        )
 
     def _band(self, scan: Scan) -> np.ndarray:
         return (scan.points[:, 2] < self.params.height) & (scan.points[:, 1] > 2.2)
@@ -94,7 +101,10 @@ class Guess:
 
 
 class Numbers:
-    """Returns what real metrics return: scores, undefined scores, reasons, and a histogram with an open last bin."""
+    """Returns what real metrics return.
+
+    Scores, undefined scores, reasons, and a histogram with an open last bin.
+    """
 
     def __init__(self, info: MethodInfo):
         self.frames: list[np.ndarray] = []
@@ -122,14 +132,23 @@ class Numbers:
 def guess_run(sequence: Sequence, **changes: Any) -> RunSpec:
     """A run of the test's method."""
     params = GuessParams()
-    return RunSpec(Guess(params), sequence, params, **{"metrics": (Numbers(Guess.info),), **changes})
+    return RunSpec(
+        Guess(params), sequence, params, **{"metrics": (Numbers(Guess.info),), **changes}
+    )
 
 
 def run_into(
-    folder: Path, sequence: Sequence, *, recorded: bool = True, progress: Progress = silent, **changes: Any
+    folder: Path,
+    sequence: Sequence,
+    *,
+    recorded: bool = True,
+    progress: Progress = silent,
+    **changes: Any,
 ) -> Result:
     """Run the test's method with all files of a run."""
-    files: dict[str, Any] = {"recording": folder / "run.rrd", "record": "errors"} if recorded else {}
+    files: dict[str, Any] = (
+        {"recording": folder / "run.rrd", "record": "errors"} if recorded else {}
+    )
     return run_spec(guess_run(sequence, folder=folder, **files, **changes), progress)
 
 
@@ -144,7 +163,11 @@ def record(sequence: Sequence, path: Path, mode: Any = "errors", **changes: Any)
 def record_with_metrics(sequence: Sequence, path: Path, mode: Any = "errors") -> Path:
     """Record a run with the real metrics that find failures; in strict mode, as ``record``."""
     rr.set_strict_mode(True)
-    names = {handle.name for handle in registry.handles("metrics")} & {"confusion", "failures", "removals"}
+    names = {handle.name for handle in registry.handles("metrics")} & {
+        "confusion",
+        "failures",
+        "removals",
+    }
     metrics = tuple(registry.load("metrics", name)(Guess.info) for name in sorted(names))
     params = GuessParams()
     with Recorder(path, mode) as recorder:

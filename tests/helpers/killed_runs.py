@@ -1,8 +1,8 @@
 """Runs that are killed: a warmed-up process forks them one after the other and kills each.
 
-Reads lines ``FOLDER STEPS SECONDS``: the run into FOLDER is killed SECONDS after it reported STEPS steps. Each frame
-has three: summarised, observed, labelled. Prints one line of JSON per run: the number of labelled frames it reported,
-and its exit status.
+Reads lines ``FOLDER STEPS SECONDS``: the run into FOLDER is killed SECONDS after it reported STEPS
+steps. Each frame has three: summarised, observed, labelled. Prints one line of JSON per run: the
+number of labelled frames it reported, and its exit status.
 """
 
 from __future__ import annotations

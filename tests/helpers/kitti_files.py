@@ -1,4 +1,6 @@
-"""Write small sequences in the layouts of KITTI tracking, SemanticKITTI, KITTI raw and KITTI odometry."""
+"""Write small sequences in the layouts of KITTI tracking, SemanticKITTI, KITTI raw and KITTI
+odometry.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,17 @@ def write_sweep(path: Path, points: Any) -> None:
 
 
 def tracking_box(frame: int, track: int, kind: str, ahead: float, left: float = 0.0) -> str:
-    """A line of ``label_02``: a box of 2 x 2 x 4 m across the road whose bottom is 1.7 m below the camera."""
+    """A line of ``label_02``.
+
+    A box of 2 x 2 x 4 m across the road whose bottom is 1.7 m below the camera.
+    """
     return f"{frame} {track} {kind} 0 0 0 0 0 9 9 2 2 4 {-left} 1.7 {ahead} 0\n"
 
 
 def write_tracking(folder: Path) -> Path:
-    """KITTI tracking: a car that drives ahead of the parked sensor, in frames 0 and 10; the sweeps between are missing.
+    """KITTI tracking: a car that drives ahead of the parked sensor, in frames 0 and 10.
+
+    The sweeps between are missing.
 
     Returns:
         The folder ``training``.
@@ -36,7 +43,8 @@ def write_tracking(folder: Path) -> Path:
     (root / "oxts/0003.txt").write_text(row * 11)
     (root / "calib/0003.txt").write_text(
         "P2: 700 0 600 0 0 700 180 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\n"
-        f"Tr_velo_to_cam: {_CAMERA_FROM_SENSOR.format(0, 0, 0)}\nTr_imu_to_velo: 1 0 0 -1 0 1 0 0 0 0 1 0\n"
+        f"Tr_velo_to_cam: {_CAMERA_FROM_SENSOR.format(0, 0, 0)}\nTr_imu_to_velo: 1 0 0 -1 0 1 0 0 "
+        "0 0 1 0\n"
     )
     boxes = [
         tracking_box(0, 0, "Car", 10),
@@ -61,7 +69,9 @@ def write_tracking(folder: Path) -> Path:
 
 
 def write_semantickitti(folder: Path) -> Path:
-    """SemanticKITTI: two sweeps, one metre apart along the sensor's x axis; only the first has labels.
+    """SemanticKITTI: two sweeps, one metre apart along the sensor's x axis.
+
+    Only the first has labels.
 
     Returns:
         The folder of the sequence.
@@ -81,28 +91,39 @@ def write_semantickitti(folder: Path) -> Path:
 def write_oxts(path: Path, latitude: float = 49.0, yaw: float = 0.0) -> None:
     """Write the GPS record of a frame."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(" ".join([str(latitude), "8.4", "100.0", "0", "0", str(yaw), *["0"] * 24]) + "\n")
+    path.write_text(
+        " ".join([str(latitude), "8.4", "100.0", "0", "0", str(yaw), *["0"] * 24]) + "\n"
+    )
 
 
 def _tracklet(kind: str, first: int, poses: list[tuple[float, float, float, float]]) -> str:
     """The XML element of a box of 4 x 2 x 1.5 m with poses (x, y, z, yaw)."""
     items = "".join(
-        f"<item class_id='3'><tx>{x}</tx><ty>{y}</ty><tz>{z}</tz><rz>{yaw}</rz><state>2</state></item>"
+        "<item "
+        f"class_id='3'><tx>{x}</tx><ty>{y}</ty><tz>{z}</tz><rz>{yaw}</rz><state>2</state></item>"
         for x, y, z, yaw in poses
     )
     size = "<h>1.5</h><w>2.0</w><l>4.0</l>"
     return (
-        f"<item class_id='1'><objectType>{kind}</objectType>{size}<first_frame>{first}</first_frame>"
-        f"<poses class_id='2'><count>{len(poses)}</count><item_version>2</item_version>{items}</poses></item>"
+        "<item "
+        f"class_id='1'><objectType>{kind}</objectType>{size}<first_frame>{first}</first_frame>"
+        "<poses "
+        f"class_id='2'><count>{len(poses)}</count><item_version>2</item_version>{items}</poses></item>"
     )
 
 
 def _tracklet_file(*items: str) -> str:
-    head = '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>\n<!DOCTYPE boost_serialization>\n'
-    body = (
-        f"<tracklets class_id='0'><count>{len(items)}</count><item_version>1</item_version>{''.join(items)}</tracklets>"
+    head = (
+        '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>\n<!DOCTYPE boost_serialization>\n'
     )
-    return f"{head}<boost_serialization signature='serialization::archive' version='9'>{body}</boost_serialization>\n"
+    body = (
+        "<tracklets "
+        f"class_id='0'><count>{len(items)}</count><item_version>1</item_version>{''.join(items)}</tracklets>"
+    )
+    return (
+        f"{head}<boost_serialization signature='serialization::archive' "
+        f"version='9'>{body}</boost_serialization>\n"
+    )
 
 
 def write_raw_drive(folder: Path) -> Path:
@@ -129,9 +150,12 @@ def write_raw_drive(folder: Path) -> Path:
         "".join(f"2011-09-26 13:02:25.{frame}00000001\n" for frame in range(4))
     )
     (day / "calib_imu_to_velo.txt").write_text(_DATE + "R: 1 0 0 0 1 0 0 0 1\nT: -1 0 0\n")
-    (day / "calib_velo_to_cam.txt").write_text(_DATE + "R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 0\ndelta_f: 0 0\n")
+    (day / "calib_velo_to_cam.txt").write_text(
+        _DATE + "R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 0\ndelta_f: 0 0\n"
+    )
     (day / "calib_cam_to_cam.txt").write_text(
-        _DATE + "corner_dist: 9.950000e-02\nR_rect_00: 1 0 0 0 1 0 0 0 1\nS_rect_02: 1.242000e+03 3.750000e+02\n"
+        _DATE + "corner_dist: 9.950000e-02\nR_rect_00: 1 0 0 0 1 0 0 0 1\nS_rect_02: 1.242000e+03 "
+        "3.750000e+02\n"
         "P_rect_02: 700 0 600 0 0 700 180 0 0 0 1 0\n"
     )
     moving = [(10 + 3 * frame, 0, -1.7, 0.0) for frame in range(4)]
@@ -141,7 +165,9 @@ def write_raw_drive(folder: Path) -> Path:
     return drive
 
 
-def write_odometry(folder: Path, frames: range = range(3), number: str = "00", poses: bool = True) -> Path:
+def write_odometry(
+    folder: Path, frames: range = range(3), number: str = "00", poses: bool = True
+) -> Path:
     """KITTI odometry: a camera that moves 1 m forward with each frame.
 
     Returns:
@@ -149,7 +175,10 @@ def write_odometry(folder: Path, frames: range = range(3), number: str = "00", p
     """
     root = folder / "sequences" / number
     for frame in frames:
-        write_sweep(root / f"velodyne/{frame:06d}.bin", [(10, 0, 0), (49.9, 0, 0), (50.1, 0, 0), (-30, 0, 41)])
+        write_sweep(
+            root / f"velodyne/{frame:06d}.bin",
+            [(10, 0, 0), (49.9, 0, 0), (50.1, 0, 0), (-30, 0, 41)],
+        )
     (root / "calib.txt").write_text("Tr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n")
     if poses:
         lines = [f"1 0 0 0 0 1 0 0 0 0 1 {frame}\n" for frame in range(frames.stop)]

@@ -12,7 +12,9 @@ from helpers.kitti_files import write_sweep
 
 
 def write_helimos(folder: Path, lidars: Iterable[str] = ("Ouster",)) -> Path:
-    """HeLiMOS: four sweeps of each lidar, which moves 1 m forward per sweep; the first three have labels.
+    """HeLiMOS: four sweeps of each lidar, which moves 1 m forward per sweep.
+
+    The first three have labels.
 
     Returns:
         The folder ``Deskewed_LiDAR``.
@@ -21,11 +23,16 @@ def write_helimos(folder: Path, lidars: Iterable[str] = ("Ouster",)) -> Path:
     for lidar in lidars:
         (root / lidar / "labels").mkdir(parents=True, exist_ok=True)
         for frame in range(4):
-            write_sweep(root / lidar / f"velodyne/{frame:06d}.bin", [(10, 0, 0), (20, 1, 0), (2, 2, 0), (0, 1, 0)])
+            write_sweep(
+                root / lidar / f"velodyne/{frame:06d}.bin",
+                [(10, 0, 0), (20, 1, 0), (2, 2, 0), (0, 1, 0)],
+            )
             if frame < 3:
                 np.array([9, 251, 0, 1], "<u4").tofile(root / lidar / f"labels/{frame:06d}.label")
         (root / lidar / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n")
-        (root / lidar / "poses.txt").write_text("".join(f"1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in range(4)))
+        (root / lidar / "poses.txt").write_text(
+            "".join(f"1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in range(4))
+        )
     for frame, split in enumerate(("train", "val", "test")):
         (root / f"{split}.txt").write_text(f"{frame:06d}\n")
     return root

@@ -33,7 +33,9 @@ def ego_points(k: int) -> list[Any]:
     ]
 
 
-def write_scene(root: Path, name: str = "scene-0061", version: str = "v1.0-mini", annotated: bool = True) -> None:
+def write_scene(
+    root: Path, name: str = "scene-0061", version: str = "v1.0-mini", annotated: bool = True
+) -> None:
     """Add a scene to a data set."""
 
     def add(table: str, *rows: Any) -> None:
@@ -44,9 +46,15 @@ def write_scene(root: Path, name: str = "scene-0061", version: str = "v1.0-mini"
 
     add("scene", {"token": f"token-{name}", "name": name, "log_token": "log"})
     if not (root / version / "sensor.json").exists():
-        sensors = [{"token": f"s-{channel}", "channel": channel} for channel in ("CAM_FRONT", "LIDAR_TOP")]
+        sensors = [
+            {"token": f"s-{channel}", "channel": channel} for channel in ("CAM_FRONT", "LIDAR_TOP")
+        ]
         add("sensor", *sensors)
-        add("category", {"token": "c-car", "name": "vehicle.car"}, {"token": "c-bus", "name": "vehicle.bus.rigid"})
+        add(
+            "category",
+            {"token": "c-car", "name": "vehicle.car"},
+            {"token": "c-bus", "name": "vehicle.bus.rigid"},
+        )
     for channel, rotation in (("CAM_FRONT", _IDENTITY), ("LIDAR_TOP", _QUARTER_TURN)):
         row = {"token": f"k-{channel}-{name}", "sensor_token": f"s-{channel}"}
         add("calibrated_sensor", row | {"translation": [1.0, 0.0, 1.8], "rotation": rotation})
@@ -74,7 +82,14 @@ def write_scene(root: Path, name: str = "scene-0061", version: str = "v1.0-mini"
     annotations = []
     for keyframe in _KEYFRAMES:
         sample = f"{name}-{keyframe}"
-        add("sample", {"token": sample, "scene_token": f"token-{name}", "timestamp": START + keyframe * 100_000})
+        add(
+            "sample",
+            {
+                "token": sample,
+                "scene_token": f"token-{name}",
+                "timestamp": START + keyframe * 100_000,
+            },
+        )
         centres = {"ahead": (20 + keyframe, 0, 0.75), "parked": (30, 5, 0.75)}
         if keyframe < _KEYFRAMES[-1]:
             centres["lost"] = (10 + keyframe, -3, 0.75)
@@ -94,7 +109,10 @@ def write_scene(root: Path, name: str = "scene-0061", version: str = "v1.0-mini"
     categories = {"ahead": "c-car", "parked": "c-bus", "lost": "c-car"}
     add(
         "instance",
-        *({"token": f"i-{instance}-{name}", "category_token": token} for instance, token in categories.items()),
+        *(
+            {"token": f"i-{instance}-{name}", "category_token": token}
+            for instance, token in categories.items()
+        ),
     )
 
 

@@ -12,21 +12,29 @@ from dynaviz.io.pcd import read_pcd, write_pcd
 RUN = 32  # bytes: longest run of literals in LZF
 
 
-def write_encoded(path: Path, fields: Any, T_world_sensor: Any = None, data: str = "binary") -> None:
+def write_encoded(
+    path: Path, fields: Any, T_world_sensor: Any = None, data: str = "binary"
+) -> None:
     """Write points in any of ``ENCODINGS``."""
     write_pcd(path, fields, T_world_sensor)
     if data == "binary":
         return
     pcd = read_pcd(path)
     columns = [pcd[name] if pcd[name].ndim > 1 else pcd[name][:, None] for name in fields]
-    body = text(columns) if data == "ascii" else compressed(b"".join(column.tobytes() for column in columns))
+    body = (
+        text(columns)
+        if data == "ascii"
+        else compressed(b"".join(column.tobytes() for column in columns))
+    )
     head = path.read_bytes()[: pcd.header.offset].replace(b"DATA binary", f"DATA {data}".encode())
     path.write_bytes(head + body)
 
 
 def text(columns: list[Any]) -> bytes:
     """One line per point; numbers have enough digits to be read back unchanged."""
-    rows = zip(*(column.T[k].tolist() for column in columns for k in range(column.shape[1])), strict=True)
+    rows = zip(
+        *(column.T[k].tolist() for column in columns for k in range(column.shape[1])), strict=True
+    )
     return "".join(" ".join(map(repr, row)) + "\n" for row in rows).encode()
 
 

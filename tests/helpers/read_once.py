@@ -1,4 +1,7 @@
-"""Make what no damaged file changes once per process: it takes up to 50 times as long as reading a small file."""
+"""Make what no damaged file changes once per process.
+
+It takes up to 50 times as long as reading a small file.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,11 @@ from dynaviz.views.read import chunks
 
 
 def read_once() -> None:
-    """Keep the entry points of plug-ins, versions, the tree of commands, compiled templates, and what the same text or
-    chunk contains.
+    """Keep the entry points of plug-ins, versions, the tree of commands, compiled templates, and
+    what the same text or chunk contains.
 
-    Changes these libraries for the rest of the process. Others, such as damaged ones, are read as usual.
+    Changes these libraries for the rest of the process. Others, such as damaged ones, are read as
+    usual.
     """
     metadata.version = functools.cache(metadata.version)
     chunks._problem = functools.lru_cache(2000)(chunks._problem)  # type: ignore[assignment]

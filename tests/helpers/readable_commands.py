@@ -43,19 +43,28 @@ TUNE = (
 def command(*words: str) -> Callable[[Path], bool]:
     """Run a command on an example in this process; returns whether it did its work.
 
-    It must exit with 0, 1 or 3, or with 2 and one line that says why. Only progress and warnings may come before it.
+    It must exit with 0, 1 or 3, or with 2 and one line that says why. Only progress and warnings
+    may come before it.
 
     Args:
-        words: its arguments; ``@NAME`` is a file of the example, and ``>NAME`` an output, which is removed before.
+        words: its arguments; ``@NAME`` is a file of the example, and ``>NAME`` an output, which is
+            removed before.
     """
 
     def read(folder: Path) -> bool:
         for word in words:
             if word[0] == ">":
                 remove(folder / word[1:])
-        argv = ["dynaviz", *(word.replace("@", f"{folder}/").replace(">", f"{folder}/") for word in words)]
+        argv = [
+            "dynaviz",
+            *(word.replace("@", f"{folder}/").replace(">", f"{folder}/") for word in words),
+        ]
         out, err, code = io.StringIO(), io.StringIO(), 0
-        with patch.object(sys, "argv", argv), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with (
+            patch.object(sys, "argv", argv),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+        ):
             try:
                 main()
             except SystemExit as end:
@@ -64,14 +73,19 @@ def command(*words: str) -> Callable[[Path], bool]:
         errors = [line for line in lines if not line.startswith("dynaviz: warning:")]
         assert code in (0, 1, 2, 3), f"exit code {code}: {err.getvalue()}"
         assert code != 2 or len(errors) == 1, err.getvalue()
-        assert all(line.startswith("dynaviz:") and line.isprintable() for line in lines), err.getvalue()
+        assert all(line.startswith("dynaviz:") and line.isprintable() for line in lines), (
+            err.getvalue()
+        )
         return code != 2
 
     return read
 
 
 class AnsweredExplorer:
-    """In place of the explorer's server: answers in this process what its page asks about the run and a case."""
+    """In place of the explorer's server.
+
+    Answers in this process what its page asks about the run and a case.
+    """
 
     url = ""
 
@@ -97,7 +111,9 @@ class AnsweredExplorer:
 
 @contextlib.contextmanager
 def in_this_process() -> Iterator[None]:
-    """Benches run their cells in this process, nothing is served, and figures are drawn once, when they are saved."""
+    """Benches run their cells in this process, nothing is served, and figures are drawn once, when
+    they are saved.
+    """
     with (
         patch.object(bench, "LocalExecutor", InProcessExecutor),
         patch.object(tune, "default_panel", lambda without: ("octomap",)),
@@ -107,7 +123,9 @@ def in_this_process() -> Iterator[None]:
         patch.object(shot, "_window", lambda source, size, view: nullcontext()),
         patch.object(shot, "_picture", lambda client, view: lambda: b""),
         patch.object(shot, "_go_to", lambda client, timeline, value: None),
-        patch.object(shot, "_at_frames", lambda client, frames, picture, report: [b""] * len(frames)),
+        patch.object(
+            shot, "_at_frames", lambda client, frames, picture, report: [b""] * len(frames)
+        ),
     ):
         yield
 
@@ -157,7 +175,10 @@ def runs(folder: Path) -> None:
 
 def map_of_demo(folder: Path) -> None:
     tiny_benchmark(folder)
-    np.save(folder / "map.npy", np.concatenate([scan.points[scan.labels == 0] for scan in room(2, 30).scans]))
+    np.save(
+        folder / "map.npy",
+        np.concatenate([scan.points[scan.labels == 0] for scan in room(2, 30).scans]),
+    )
 
 
 def labels_of_demo(folder: Path) -> None:
@@ -180,7 +201,10 @@ def corrected_demo(folder: Path) -> None:
     labels_of_demo(folder)
     digest = json.loads((folder / "out/result.json").read_text())["sequence"]["digest"]
     box = {"frame": 0, "low": [-5, -5, -5], "high": [5, 5, 5]}
-    made = {"sequence": digest, "corrections": [{"case": 1, "what": "car", "truth": "static", "boxes": [box]}]}
+    made = {
+        "sequence": digest,
+        "corrections": [{"case": 1, "what": "car", "truth": "static", "boxes": [box]}],
+    }
     (folder / "out/corrections.json").write_text(json.dumps(made))
 
 
@@ -194,7 +218,8 @@ def implants(folder: Path) -> None:
 def plan(folder: Path) -> None:
     tiny_benchmark(folder)
     (folder / "bench.toml").write_text(
-        'methods = ["octomap"]\nrecord = "none"\n[[sequences]]\npath = "demo"\nname = "there"\nframes = "0:9"\n'
+        'methods = ["octomap"]\nrecord = "none"\n[[sequences]]\npath = "demo"\nname = '
+        '"there"\nframes = "0:9"\n'
         "[grid]\noctomap = { resolution = [0.1, 0.2] }\n"
     )
 
@@ -212,29 +237,48 @@ def configured_demo(folder: Path) -> None:
 
 COMMANDS = {
     "dynaviz info RECORDING": subject(recordings, "run.rrd", ("info", "@run.rrd")),
-    "dynaviz info RECORDING --failures": subject(recordings, "run.rrd", ("info", "@run.rrd", "--failures")),
-    "dynaviz compare": subject(recordings, "run.rrd", ("compare", "@run.rrd", "@other.rrd", "-o", ">both.rrd")),
+    "dynaviz info RECORDING --failures": subject(
+        recordings, "run.rrd", ("info", "@run.rrd", "--failures")
+    ),
+    "dynaviz compare": subject(
+        recordings, "run.rrd", ("compare", "@run.rrd", "@other.rrd", "-o", ">both.rrd")
+    ),
     "dynaviz view": subject(recordings, "run.rrd", ("view", "@run.rrd")),
     "dynaviz view -o": subject(recordings, "run.rrd", ("view", "@run.rrd", "-o", ">picture.png")),
-    "dynaviz explore": subject(recordings, "run.rrd", ("explore", "@run.rrd", "@other.rrd", "--no-browser")),
+    "dynaviz explore": subject(
+        recordings, "run.rrd", ("explore", "@run.rrd", "@other.rrd", "--no-browser")
+    ),
     "dynaviz why": subject(
         recorded_demo,
         "**/*",
-        *(("why", run, "--frame", "1", "--point", "9", "--json", ">why.json") for run in ("@out", "@out/run.rrd")),
+        *(
+            ("why", run, "--frame", "1", "--point", "9", "--json", ">why.json")
+            for run in ("@out", "@out/run.rrd")
+        ),
     ),
-    "dynaviz report --format board": subject(board, "**/*", ("report", "@out", "--format", "board", "-o", "@board")),
-    "dynaviz score RUN": subject(corrected_demo, "out/corrections.json", ("score", "@out", "--sequence", "@demo")),
+    "dynaviz report --format board": subject(
+        board, "**/*", ("report", "@out", "--format", "board", "-o", "@board")
+    ),
+    "dynaviz score RUN": subject(
+        corrected_demo, "out/corrections.json", ("score", "@out", "--sequence", "@demo")
+    ),
     "dynaviz info RESULT": subject(scored, "out/result.json", ("info", "@out/result.json")),
-    "dynaviz info RESULT --failures": subject(scored, "out/result.json", ("info", "@out/result.json", "--failures")),
+    "dynaviz info RESULT --failures": subject(
+        scored, "out/result.json", ("info", "@out/result.json", "--failures")
+    ),
     "dynaviz report": subject(
         scored, "out/result.json", *(("report", "@out", "--format", kind) for kind in ("md", "csv"))
     ),
     "dynaviz report (HTML)": subject(
         scored, "out/result.json", ("report", "@out", "--format", "html"), shortened=undrawn
     ),
-    "dynaviz report (HTML, drawn)": subject(scored, "out/result.json", ("report", "@out", "--format", "html")),
+    "dynaviz report (HTML, drawn)": subject(
+        scored, "out/result.json", ("report", "@out", "--format", "html")
+    ),
     "dynaviz check": subject(
-        runs, "out/*.json", ("check", "@out/result.json", "--min", "AA=50", "--baseline", "@out/baseline.json")
+        runs,
+        "out/*.json",
+        ("check", "@out/result.json", "--min", "AA=50", "--baseline", "@out/baseline.json"),
     ),
     "dynaviz info SEQ": subject(tiny_benchmark, "**/*", ("info", "@demo")),
     "dynaviz doctor": subject(tiny_benchmark, "**/*", ("doctor", "@demo")),
@@ -244,17 +288,25 @@ COMMANDS = {
         "**/*",
         ("run", "octomap", "@demo", "-o", ">out", "--record", "none", "--config", "@config.toml"),
     ),
-    "dynaviz clean": subject(tiny_benchmark, "**/*", ("clean", "@demo", "-m", "octomap", "-o", ">map.pcd")),
-    "dynaviz live": subject(
-        tiny_benchmark, "**/*", ("live", "@demo", "-m", "octomap", "--rate", "0", "--reach", "10", "-o", ">live")
+    "dynaviz clean": subject(
+        tiny_benchmark, "**/*", ("clean", "@demo", "-m", "octomap", "-o", ">map.pcd")
     ),
-    "dynaviz score": subject(map_of_demo, "**/*", ("score", "@map.npy", "@demo", "-o", ">out", "--record", "none")),
+    "dynaviz live": subject(
+        tiny_benchmark,
+        "**/*",
+        ("live", "@demo", "-m", "octomap", "--rate", "0", "--reach", "10", "-o", ">live"),
+    ),
+    "dynaviz score": subject(
+        map_of_demo, "**/*", ("score", "@map.npy", "@demo", "-o", ">out", "--record", "none")
+    ),
     "dynaviz convert --labels": subject(
         labels_of_demo, "**/*", ("convert", "@out", ">labels", "--labels", "--sequence", "@demo")
     ),
     "dynaviz list": subject(config, "*", ("list", "octomap", "--config", "@config.toml")),
     "dynaviz bench": subject(plan, "**/*", ("bench", "@bench.toml", "-o", ">bench")),
-    "dynaviz bench --resume": subject(plan_and_runs, "bench/**/*", ("bench", "@bench.toml", "-o", "@bench")),
+    "dynaviz bench --resume": subject(
+        plan_and_runs, "bench/**/*", ("bench", "@bench.toml", "-o", "@bench")
+    ),
     "dynaviz simulate": subject(
         implants, "**/*", ("simulate", "implant:@room?panel=none&scene=@implants.toml", ">new")
     ),

@@ -53,7 +53,9 @@ class Subject:
 
 
 def every_scan(name: str, step: int = 1, poses: str | None = None) -> Callable[[Path], None]:
-    """Open a sequence in a given format, with a file of poses next to it, and read all its scans, or every n-th."""
+    """Open a sequence in a given format, with a file of poses next to it, and read all its scans,
+    or every n-th.
+    """
 
     def read(path: Path) -> None:
         options = {} if poses is None else {"poses": str(path.with_name(poses))}
@@ -87,7 +89,12 @@ def pcd(encoding: str) -> Subject:
     def make(folder: Path) -> Path:
         random = np.random.default_rng(0)
         fields = {axis: random.normal(size=40).astype(np.float32) for axis in "xyz"}
-        write_encoded(folder / "a.pcd", {**fields, "label": np.zeros((40, 2), np.uint8)}, at(1, 2, 3, 0.5), encoding)
+        write_encoded(
+            folder / "a.pcd",
+            {**fields, "label": np.zeros((40, 2), np.uint8)},
+            at(1, 2, 3, 0.5),
+            encoding,
+        )
         return folder / "a.pcd"
 
     def read(path: Path) -> None:
@@ -116,7 +123,9 @@ def scans_with_poses(suffix: str, poses: str) -> Subject:
                 f"{t},{k},{x},{y},{z},0,0,0,1"
                 for k, (t, (x, y, z)) in enumerate(zip(STAMPS, POSES[:, :3, 3], strict=True))
             ]
-            (folder / poses).write_text("\n".join(["timestamp [ns],index,x,y,z,qx,qy,qz,qw", *rows]) + "\n")
+            (folder / poses).write_text(
+                "\n".join(["timestamp [ns],index,x,y,z,qx,qy,qz,qw", *rows]) + "\n"
+            )
         return folder
 
     return Subject(make, every_scan("files"), "**/*")
@@ -143,9 +152,13 @@ def merged_map(suffix: str) -> Subject:
         path, xyz = folder / f"survey{suffix}", np.random.default_rng(0).uniform(-20, 20, (90, 3))
         times = STAMPS[0] / 1e9 + np.linspace(0, 0.25, 90)
         fields: dict[str, Any] = {"gps_time": times, "intensity": np.arange(90, dtype=np.uint16)}
-        with open_map(path, {name: array.dtype for name, array in fields.items()}, np.zeros(3)) as append:
+        with open_map(
+            path, {name: array.dtype for name, array in fields.items()}, np.zeros(3)
+        ) as append:
             append(xyz, fields)
-        write_tum_poses(folder / "trajectory.tum", [STAMPS[0] + k * 100_000_000 for k in range(4)], POSES[:4])
+        write_tum_poses(
+            folder / "trajectory.tum", [STAMPS[0] + k * 100_000_000 for k in range(4)], POSES[:4]
+        )
         return path
 
     return Subject(make, every_scan("merged", poses="trajectory.tum"))
@@ -221,7 +234,9 @@ def bench(folder: Path) -> Path:
 
 
 def config(folder: Path) -> Path:
-    (folder / "config.toml").write_text("[run]\nonline = true\nseed = 3\n[octomap]\nresolution = 0.2\n")
+    (folder / "config.toml").write_text(
+        "[run]\nonline = true\nseed = 3\n[octomap]\nresolution = 0.2\n"
+    )
     return folder / "config.toml"
 
 
@@ -271,18 +286,29 @@ DATASETS: dict[str, Callable[[Path], Path]] = {
 SUBJECTS: dict[str, Subject] = {
     **{name: Subject(make, every_scan(name), "**/*") for name, make in DATASETS.items()},
     **{f"merged{suffix}": merged_map(suffix) for suffix in (".las", ".ply", ".pcd")},
-    **{f"files{suffix}": scans_with_poses(suffix, "poses.tum") for suffix in (".npz", ".pcd", ".ply")},
+    **{
+        f"files{suffix}": scans_with_poses(suffix, "poses.tum")
+        for suffix in (".npz", ".pcd", ".ply")
+    },
     "files-csv": scans_with_poses(".bin", "poses.csv"),
     **{f"rosbag-{kind}": bag(kind) for kind in ("sqlite3", "mcap")},
     **{f"pcd-{encoding}": pcd(encoding) for encoding in ENCODINGS},
     **{f"points{suffix}": clouds(suffix) for suffix in (".npy", ".ply", ".las", ".laz")},
     "poses": text("a.txt", "".join(f"{t / 1e9} 1 2 3 0 0 0 1\n" for t in STAMPS), read_poses),
     "calib": text("a.txt", "P2: 1 0 0 0 0 1 0 0 0 0 1 0\nR: 1 0 0 0 1 0 0 0 1\n", read_calib),
-    "boxes": text("a.txt", "0 0 Car 0 0 0 0 0 9 9 2 2 4 1 1.7 9 0\n0 -1 DontCare -1 -1 -10 " + "-1 " * 11, read_boxes),
+    "boxes": text(
+        "a.txt",
+        "0 0 Car 0 0 0 0 0 9 9 2 2 4 1 1.7 9 0\n0 -1 DontCare -1 -1 -10 " + "-1 " * 11,
+        read_boxes,
+    ),
     "config.toml": Subject(config, lambda path: resolve(load("methods", "octomap"), config=path)),
     "bench.toml": Subject(bench, lambda path: plan_of(read(path), str(path))),
-    "result.json": Subject(scored, lambda out: str(Result.load(out / "result.json")), "out/result.json"),
-    "baseline.json": Subject(baseline, lambda out: read_baseline(out / "baseline.json"), "out/baseline.json"),
+    "result.json": Subject(
+        scored, lambda out: str(Result.load(out / "result.json")), "out/result.json"
+    ),
+    "baseline.json": Subject(
+        baseline, lambda out: read_baseline(out / "baseline.json"), "out/baseline.json"
+    ),
     "labels.npz": Subject(finished, lambda out: answers(out / "labels.npz"), "out/labels.npz"),
     "run.rrd": Subject(recording, recorded, "run.rrd"),
 }

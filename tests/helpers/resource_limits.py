@@ -21,7 +21,10 @@ def files_end_at(size: int) -> Iterator[None]:
 
 @contextmanager
 def memory_ends_after(more: int) -> Iterator[None]:
-    """This process gets only so many bytes more than it has: what a header promises is out of reach."""
+    """This process gets only so many bytes more than it has.
+
+    What a header promises is out of reach.
+    """
     before = resource.getrlimit(resource.RLIMIT_AS)
     has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (has + more, before[1]))

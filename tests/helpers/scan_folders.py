@@ -45,7 +45,9 @@ WRITERS: dict[str, Callable[[Path, np.ndarray], None]] = {
 """By suffix: writes points (N, 3)."""
 
 
-def write_scans(folder: Path, suffix: str = ".bin", names: list[str] | None = None, clouds: np.ndarray = XYZ) -> Path:
+def write_scans(
+    folder: Path, suffix: str = ".bin", names: list[str] | None = None, clouds: np.ndarray = XYZ
+) -> Path:
     """Write scans named by number, or by the given names; returns the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for k, xyz in enumerate(clouds):
@@ -64,6 +66,9 @@ def write_tum_poses(path: Path, stamps: list[int], poses: np.ndarray) -> Path:
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     rows = zip(stamps, poses[:, :3, 3], quaternions, strict=True)
     path.write_text(
-        "".join(f"{t // 10**9}.{t % 10**9:09d} {' '.join(map(repr, [*p.tolist(), *q.tolist()]))}\n" for t, p, q in rows)
+        "".join(
+            f"{t // 10**9}.{t % 10**9:09d} {' '.join(map(repr, [*p.tolist(), *q.tolist()]))}\n"
+            for t, p, q in rows
+        )
     )
     return path

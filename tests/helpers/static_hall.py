@@ -12,8 +12,14 @@ from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 
 RINGS, ELEVATION, HEIGHT = 40, (-22.0, 8.0), 1.8
-AZIMUTHS, VIEW = 220, 180.0  # columns, and the degrees ahead that they cover; half a turn takes half the time
-SENSOR = Sensor(name="hall", title="a sensor of 40 rings", rings=RINGS, elevation=ELEVATION, height=HEIGHT)
+# columns, and the degrees ahead that they cover; half a turn takes half the time
+AZIMUTHS, VIEW = (
+    220,
+    180.0,
+)
+SENSOR = Sensor(
+    name="hall", title="a sensor of 40 rings", rings=RINGS, elevation=ELEVATION, height=HEIGHT
+)
 WALLS = 14.0  # metres from the centre
 HALF = np.array([0.6, 0.6, 0.7])  # half edges of the box, metres
 PLACES = 10  # places of the box, on arcs around the sensor
@@ -46,7 +52,9 @@ def hall(
         with np.errstate(divide="ignore"):
             walls = ((np.where(rays > 0, WALLS, -WALLS) - origin) / rays)[:, :2].min(1)
             ground = np.where(rays[:, 2] < 0, -origin[2] / rays[:, 2], np.inf)
-        still = np.minimum.reduce([walls, ground, *(_to_box(origin, rays, *each) for each in standing)])
+        still = np.minimum.reduce(
+            [walls, ground, *(_to_box(origin, rays, *each) for each in standing)]
+        )
         moving = _to_box(origin, rays, _place(frame), HALF) if box else np.inf
         ranges = np.minimum(still, moving) + random.normal(0, NOISE, len(rays))
         labels = np.where(moving < still, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
@@ -56,9 +64,12 @@ def hall(
 
 
 def seen_through(scans: list[Scan], least: int = 4) -> Bool:
-    """(N,) bool, all points: box points with rays on all sides, ending far behind, in at least ``least`` other scans.
+    """(N,) bool, all points.
 
-    The 12 rays that are nearest in angle must pass within 0.2 m of the point and end at least 1 m behind it.
+    Box points with rays on all sides, ending far behind, in at least ``least`` other scans.
+
+    The 12 rays that are nearest in angle must pass within 0.2 m of the point and end at least 1 m
+    behind it.
     """
     found = []
     for scan in scans:
@@ -83,9 +94,13 @@ def _place(frame: int) -> F64:
 def _rays(first: float) -> F64:
     """(RINGS * AZIMUTHS, 3): unit vectors."""
     columns = first + np.linspace(-VIEW / 2, VIEW / 2, AZIMUTHS, endpoint=False)
-    azimuth, elevation = np.meshgrid(np.radians(columns), np.radians(np.linspace(*ELEVATION, RINGS)))
+    azimuth, elevation = np.meshgrid(
+        np.radians(columns), np.radians(np.linspace(*ELEVATION, RINGS))
+    )
     flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
+    return np.stack(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1
+    ).reshape(-1, 3)
 
 
 def _to_box(origin: F64, rays: F64, centre: F64, half: F64) -> F64:

@@ -1,4 +1,6 @@
-"""Damage that keeps the structure of a file: values of another type or size in its records, tables, headers and chunks.
+"""Damage that keeps the structure of a file.
+
+Values of another type or size in its records, tables, headers and chunks.
 
 Random bytes rarely get past the parser of a format; these changes test what comes after it.
 """
@@ -37,9 +39,35 @@ TEXTS = (
     "0x10",
     "1_0",
 )
-ENCODINGS = ("utf-16", "utf-7", "martian", "idna", "base64", "latin-1", "cp037", "utf-32", "ascii", "")
+ENCODINGS = (
+    "utf-16",
+    "utf-7",
+    "martian",
+    "idna",
+    "base64",
+    "latin-1",
+    "cp037",
+    "utf-32",
+    "ascii",
+    "",
+)
 VALUES: tuple[Any, ...] = (
-    *(None, True, 0, -1, 10**400, 1 << 63, -(1 << 63) - 1, 1 << 31, 0.5, 1e308, float("nan"), float("inf"), [], {}),
+    *(
+        None,
+        True,
+        0,
+        -1,
+        10**400,
+        1 << 63,
+        -(1 << 63) - 1,
+        1 << 31,
+        0.5,
+        1e308,
+        float("nan"),
+        float("inf"),
+        [],
+        {},
+    ),
     *([1], [[]], {"a": 1}, [None] * 4, [10**400] * 3, [float("nan")] * 4, [1e308] * 3, *TEXTS),
 )
 DOUBLES = (float("nan"), float("inf"), -1e308, 1e300, 1e-320, 0.0, -1.0, 1e19)
@@ -54,7 +82,13 @@ def json_values(content: bytes, random: Random) -> bytes:
     places: list[tuple[Any, Any]] = []
 
     def visit(node: Any) -> None:
-        pairs = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+        pairs = (
+            node.items()
+            if isinstance(node, dict)
+            else enumerate(node)
+            if isinstance(node, list)
+            else ()
+        )
         for key, value in pairs:
             places.append((node, key))
             visit(value)
@@ -81,12 +115,17 @@ def xml_values(content: bytes, random: Random) -> bytes:
     text = content.decode("latin-1")
     change = random.random()
     if change < 0.2:
-        head = f'<?xml version="{random.choice(["1.0", "1.1", "9"])}" encoding="{random.choice(ENCODINGS)}"?>'
+        head = (
+            f'<?xml version="{random.choice(["1.0", "1.1", "9"])}" '
+            f'encoding="{random.choice(ENCODINGS)}"?>'
+        )
         return re.sub(r"<\?xml.*?\?>", "", text, count=1).join((head, "")).encode("latin-1")
     pattern = r"(?<=>)[^<>]*(?=<)" if change < 0.8 else r"</?\w+"
     found = random.choice(list(re.finditer(pattern, text)))
     new = (
-        random.choice(TEXTS) if change < 0.8 else random.choice(["<item", "</item", "<!--", "<![CDATA[", "<count", ""])
+        random.choice(TEXTS)
+        if change < 0.8
+        else random.choice(["<item", "</item", "<!--", "<![CDATA[", "<count", ""])
     )
     return (text[: found.start()] + new + text[found.end() :]).encode("utf-8", "replace")
 
@@ -106,7 +145,8 @@ def numbers(content: bytes, random: Random) -> bytes:
     width, form, choices = random.choice([
         (8, "<d", DOUBLES), (4, "<f", (float("nan"), float("inf"), -3e38, 1e-40)),
         (8, "<Q", (0, 1, 1 << 31, 1 << 40, (1 << 63) - 1, 1 << 63, (1 << 64) - 1)),
-        (4, "<I", (0, 1, 1 << 24, (1 << 31) - 1, 1 << 31, (1 << 32) - 1)), (2, "<H", (0, 1, 0x7FFF, 0xFFFF)),
+        (4, "<I", (0, 1, 1 << 24, (1 << 31) - 1, 1 << 31, (1 << 32) - 1)),
+        (2, "<H", (0, 1, 0x7FFF, 0xFFFF)),
     ])  # fmt: skip
     near = random.random() < 0.5
     at = random.randrange(max(1, min(len(content), 400) if near else len(content)))
@@ -123,8 +163,10 @@ def arrow_columns(content: bytes, random: Random) -> bytes:
     k = random.randrange(table.num_columns)
     name, rows = table.column_names[k], table.num_rows
     new: list[Any] = [
-        [float("nan")] * rows, [1e308] * rows, [1 << 62] * rows, [-1] * rows, [None] * rows, ["x"] * rows,
-        [b"x"] * rows, [[1]] * rows, [{"a": 1}] * rows, [True] * rows, ["9" * 3000] * rows, [0] * rows,
+        [float("nan")] * rows, [1e308] * rows, [1 << 62] * rows, [-1] * rows, [None] * rows,
+        ["x"] * rows,
+        [b"x"] * rows, [[1]] * rows, [{"a": 1}] * rows, [True] * rows, ["9" * 3000] * rows,
+        [0] * rows,
     ]  # fmt: skip
     change = random.random()
     if change < 0.1:
@@ -227,6 +269,9 @@ BY_SUFFIX: dict[str, tuple[Callable[[bytes, Random], bytes], ...]] = {
 
 
 def damaged_structure(path: Path, content: bytes, random: Random) -> bytes:
-    """The content of a file after a change that suits its format; anything else is treated as text."""
+    """The content of a file after a change that suits its format.
+
+    Anything else is treated as text.
+    """
     change = random.choice(BY_SUFFIX.get(path.suffix, (words,)))
     return change(content, random)

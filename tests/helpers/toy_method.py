@@ -1,4 +1,6 @@
-"""A toy method from another package, small sequences as files, and an executor without processes."""
+"""A toy method from another package, small sequences as files, and an executor
+without processes.
+"""
 
 from __future__ import annotations
 
@@ -67,9 +69,14 @@ def write_room(folder: Path, **options: int) -> Path:
     """Write the small room in the public benchmark's layout."""
     scans = room(**options).scans
     for scan in scans:
-        fields = {**dict(zip("xyz", scan.points.T, strict=True)), "intensity": np.zeros(len(scan), np.float32)}
+        fields = {
+            **dict(zip("xyz", scan.points.T, strict=True)),
+            "intensity": np.zeros(len(scan), np.float32),
+        }
         write_pcd(folder / f"pcd/{scan.index:06d}.pcd", fields, scan.T_world_sensor)
-    points, labels = (np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels"))
+    points, labels = (
+        np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels")
+    )
     truth = {**dict(zip("xyz", points.T, strict=True)), "intensity": labels.astype(np.float32)}
     write_pcd(folder / "gt_cloud.pcd", truth)
     return folder

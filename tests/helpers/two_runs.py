@@ -15,15 +15,23 @@ REASONS = {0: "zero", 1: "one", 2: "two"}
 TwoRuns = tuple[list[FrameAnswers], list[FrameAnswers], list[np.ndarray]]
 
 
-def two_runs(seed: int, frames: int, points: int, truths: tuple[int, ...] = (0, 0, 1, 255)) -> TwoRuns:
+def two_runs(
+    seed: int, frames: int, points: int, truths: tuple[int, ...] = (0, 0, 1, 255)
+) -> TwoRuns:
     """Answers of both runs by frame, and the coordinates of the points."""
     random = np.random.default_rng(seed)
     first, second, xyz = [], [], []
     for frame in range(frames):
         n = int(random.integers(0, points + 1))
-        truth, bands = random.choice(truths, n).astype(np.uint8), random.integers(0, 5, n).astype(np.uint8)
+        truth, bands = (
+            random.choice(truths, n).astype(np.uint8),
+            random.integers(0, 5, n).astype(np.uint8),
+        )
         for run in (first, second):
-            dynamic, reasons = random.random(n) < random.random(), random.integers(0, 3, n).astype(np.uint8)
+            dynamic, reasons = (
+                random.random(n) < random.random(),
+                random.integers(0, 3, n).astype(np.uint8),
+            )
             run.append(FrameAnswers(frame, frame + 100, dynamic, truth, reasons, bands))
         xyz.append((random.normal(size=(n, 3)) * 12).astype(np.float32))
     return first, second, xyz
@@ -46,7 +54,9 @@ def cells_of(run: list[FrameAnswers], xyz: list[np.ndarray], size: float = 5.0) 
     return cells
 
 
-def compared(first: list[FrameAnswers], second: list[FrameAnswers], xyz: list[np.ndarray]) -> PairComparison:
+def compared(
+    first: list[FrameAnswers], second: list[FrameAnswers], xyz: list[np.ndarray]
+) -> PairComparison:
     """The comparison of both."""
     counts = count_agreement(first, second)
     places = spatial_gains(cells_of(first, xyz), cells_of(second, xyz), counts.points.sum(1))

@@ -28,7 +28,10 @@ def headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
 
 
 def opened_at(client: ViewerClient, expected: tuple[str, int]) -> tuple[Any, Any]:
-    """The timeline of the recording in view, and the time on it; waits until they are as expected."""
+    """The timeline of the recording in view, and the time on it.
+
+    Waits until they are as expected.
+    """
 
     def opened() -> tuple[Any, Any]:
         state = client.get_state()

@@ -12,7 +12,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dynaviz.errors import DataError
-from dynaviz.io.kitti import TrackBox, calib_matrix, calib_transform, read_boxes, read_calib, read_oxts
+from dynaviz.io.kitti import (
+    TrackBox,
+    calib_matrix,
+    calib_transform,
+    read_boxes,
+    read_calib,
+    read_oxts,
+)
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.io.velodyne import read_velodyne
@@ -64,7 +71,9 @@ def test_calibration_rows_have_names_with_or_without_colon(tmp_path: Path) -> No
     rows = read_calib(path)
     np.testing.assert_array_equal(calib_matrix(path, rows, "R0_rect", "R_rect"), np.eye(3))
     T = calib_transform(path, rows, "Tr")
-    np.testing.assert_allclose(T, [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]], atol=1e-6)
+    np.testing.assert_allclose(
+        T, [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]], atol=1e-6
+    )
     np.testing.assert_allclose(geometry.compose(T, geometry.inverse(T)), np.eye(4), atol=1e-15)
     with pytest.raises(DataError, match="line P2 or P3 is missing"):
         calib_matrix(path, rows, "P2", "P3")
@@ -88,7 +97,11 @@ def test_roll_pitch_and_yaw_match_scipy(tmp_path: Path) -> None:
     from scipy.spatial.transform import Rotation
 
     angles = np.random.default_rng(1).uniform(-1, 1, (5, 3))
-    np.savetxt(tmp_path / "oxts.txt", np.column_stack([np.zeros((5, 3)), angles, np.zeros((5, 24))]), fmt="%.17g")
+    np.savetxt(
+        tmp_path / "oxts.txt",
+        np.column_stack([np.zeros((5, 3)), angles, np.zeros((5, 24))]),
+        fmt="%.17g",
+    )
     expected = Rotation.from_euler("ZYX", angles[:, ::-1]).as_matrix()
     np.testing.assert_allclose(read_oxts(tmp_path / "oxts.txt")[:, :3, :3], expected, atol=1e-12)
 

@@ -33,20 +33,27 @@ with locked(Path(sys.argv[1])):
 
 def hold(folder: Path) -> subprocess.Popen[str]:
     """A process that holds the lock of a folder."""
-    holder = subprocess.Popen([sys.executable, "-c", HOLDER, folder], stdout=subprocess.PIPE, text=True)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, folder], stdout=subprocess.PIPE, text=True
+    )
     assert holder.stdout
     assert holder.stdout.readline() == "locked\n"
     return holder
 
 
-def test_another_process_is_named_and_its_lock_ends_with_it(tmp_path: Path, little_room: InMemory) -> None:
+def test_another_process_is_named_and_its_lock_ends_with_it(
+    tmp_path: Path, little_room: InMemory
+) -> None:
     with hold(tmp_path) as holder:
         try:
             for write in (
                 lambda: api.run("octomap", little_room, out=tmp_path, record="none"),
                 lambda: bench({"methods": ["octomap"], "sequences": ["simulate:demo:2"]}, tmp_path),
             ):
-                with pytest.raises(DataError, match=rf"process {holder.pid} on .* is writing into this folder\. Wait"):
+                with pytest.raises(
+                    DataError,
+                    match=rf"process {holder.pid} on .* is writing into this folder\. Wait",
+                ):
                     write()
             assert os.listdir(tmp_path) == [NAME]
         finally:
@@ -60,7 +67,9 @@ def test_another_process_is_named_and_its_lock_ends_with_it(tmp_path: Path, litt
 def test_locks_that_have_no_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lock, "_PATIENCE", 0)
     here, path = Owner.here(), tmp_path / NAME
-    earlier = json.dumps(asdict(replace(here, started=here.started - 1000)))  # another process had the same number
+    earlier = json.dumps(
+        asdict(replace(here, started=here.started - 1000))
+    )  # another process had the same number
     for content in (earlier, "", "{", "[]", '{"pid": "x"}'):
         path.write_text(content)
         with locked(tmp_path):
@@ -72,7 +81,9 @@ def test_a_lock_of_another_machine_is_respected(tmp_path: Path) -> None:
     owner = Owner(1, "elsewhere", 0.0, "dynaviz run")
     (tmp_path / NAME).write_text(json.dumps(asdict(owner)))
     with (
-        pytest.raises(DataError, match=r"process 1 on elsewhere .* if it was killed, remove .*\.lock"),
+        pytest.raises(
+            DataError, match=r"process 1 on elsewhere .* if it was killed, remove .*\.lock"
+        ),
         locked(tmp_path),
     ):
         pass
@@ -80,7 +91,9 @@ def test_a_lock_of_another_machine_is_respected(tmp_path: Path) -> None:
 
 
 def test_one_of_many_threads_gets_the_lock(tmp_path: Path) -> None:
-    (tmp_path / NAME).write_text(json.dumps(asdict(Owner(os.getpid(), Owner.here().host, 0.0, ""))))  # an old lock
+    (tmp_path / NAME).write_text(
+        json.dumps(asdict(Owner(os.getpid(), Owner.here().host, 0.0, "")))
+    )  # an old lock
     ready, done = threading.Barrier(8), threading.Barrier(8)
 
     def attempt(_: int) -> bool:

@@ -26,7 +26,9 @@ def attributes() -> dict[str, np.ndarray]:
     return fields
 
 
-def write(path: Path, xyz: np.ndarray, fields: dict[str, np.ndarray], origin: np.ndarray) -> dict[str, np.ndarray]:
+def write(
+    path: Path, xyz: np.ndarray, fields: dict[str, np.ndarray], origin: np.ndarray
+) -> dict[str, np.ndarray]:
     """Write in two pieces, and read all fields."""
     with open_map(path, {name: array.dtype for name, array in fields.items()}, origin) as append:
         for part in (slice(0, 200), slice(200, N)):
@@ -44,12 +46,16 @@ def test_attributes_are_stored_bit_by_bit(tmp_path: Path, suffix: str) -> None:
         assert found[name].dtype == array.dtype
         assert found[name].tobytes() == array.tobytes()
     for axis, name in enumerate("xyz"):
-        np.testing.assert_allclose(found[name], xyz[:, axis], rtol=0, atol=5.1e-5 if "la" in suffix else 0)
+        np.testing.assert_allclose(
+            found[name], xyz[:, axis], rtol=0, atol=5.1e-5 if "la" in suffix else 0
+        )
 
 
 def test_ply_leaves_out_what_it_cannot_store(tmp_path: Path) -> None:
     fields = attributes()
-    with pytest.warns(UserWarning, match=r"PLY cannot store uint64; the map has no t\. Write PCD, LAZ or NPZ"):
+    with pytest.warns(
+        UserWarning, match=r"PLY cannot store uint64; the map has no t\. Write PCD, LAZ or NPZ"
+    ):
         found = write(tmp_path / "map.ply", np.zeros((N, 3)), fields, np.zeros(3))
     assert found.keys() == fields.keys() - {"t"} | set("xyz")
     assert all(found[name].tobytes() == fields[name].tobytes() for name in fields.keys() - {"t"})
@@ -57,7 +63,10 @@ def test_ply_leaves_out_what_it_cannot_store(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".pcd", ".ply"])
 def test_names_that_a_header_cannot_contain_become_plain(tmp_path: Path, suffix: str) -> None:
-    fields = {name: np.full(N, k, np.uint8) for k, name in enumerate(("sun light", "sun_light", "ü", "lidar ü id"))}
+    fields = {
+        name: np.full(N, k, np.uint8)
+        for k, name in enumerate(("sun light", "sun_light", "ü", "lidar ü id"))
+    }
     found = write(tmp_path / f"map{suffix}", np.zeros((N, 3)), fields, np.zeros(3))
     names = ("sun_light", "sun_light_4", "field", "lidar_id")
     assert [int(found[name][0]) for name in names] == [0, 1, 2, 3]
@@ -92,7 +101,9 @@ def test_tiles_are_named_by_their_corners_in_the_metadata(tmp_path: Path) -> Non
         name, _, corner = line.partition(": ")
         x, y = (float(word) for word in corner.strip("[]").split(","))
         tile = read_fields(tmp_path / DIVIDED_TILES / name)
-        assert ((tile["x"] >= x) & (tile["x"] < x + 20) & (tile["y"] >= y) & (tile["y"] < y + 20)).all()
+        assert (
+            (tile["x"] >= x) & (tile["x"] < x + 20) & (tile["y"] >= y) & (tile["y"] < y + 20)
+        ).all()
         rings += tile["ring"].tolist()
     assert sorted(rings) == list(range(N))
     assert not stale.exists()
@@ -100,5 +111,7 @@ def test_tiles_are_named_by_their_corners_in_the_metadata(tmp_path: Path) -> Non
 
 
 def test_an_unknown_format_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"map\.xyz: unknown map format\. Give a file that ends in \.las, \.laz"):
+    with pytest.raises(
+        UsageError, match=r"map\.xyz: unknown map format\. Give a file that ends in \.las, \.laz"
+    ):
         check_map_path(Path("map.xyz"))

@@ -25,7 +25,13 @@ in_one_folder = settings(deadline=None, suppress_health_check=[HealthCheck.funct
 
 @st.composite
 def clouds(draw: st.DrawFn) -> dict[str, Any]:
-    names = draw(st.lists(st.sampled_from(["x", "y", "z", "intensity", "rgb", "label", "t"]), min_size=1, unique=True))
+    names = draw(
+        st.lists(
+            st.sampled_from(["x", "y", "z", "intensity", "rgb", "label", "t"]),
+            min_size=1,
+            unique=True,
+        )
+    )
     n = draw(st.integers(0, 40))
     kind = st.sampled_from(KINDS).map(np.dtype)
     shape = st.sampled_from([(n,), (n, 2), (n, 5)])
@@ -35,7 +41,10 @@ def clouds(draw: st.DrawFn) -> dict[str, Any]:
 def cloud(n: int = 50, seed: int = 0) -> dict[str, Any]:
     random = np.random.default_rng(seed)
     xyz = random.normal(scale=20, size=(n, 3)).astype(np.float32)
-    return {**dict(zip("xyz", xyz.T, strict=True)), "label": (random.random(n) < 0.1).astype(np.uint8)}
+    return {
+        **dict(zip("xyz", xyz.T, strict=True)),
+        "label": (random.random(n) < 0.1).astype(np.uint8),
+    }
 
 
 def pose() -> Any:
@@ -49,12 +58,16 @@ def text(head: str, body: bytes = b"") -> bytes:
     return head.encode() + body
 
 
-PLAIN = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\n"
+PLAIN = (
+    "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\n"
+)
 
 
 @in_one_folder
 @given(clouds(), st.sampled_from(ENCODINGS))
-def test_every_layout_is_read_back_unchanged(tmp_path: Path, fields: dict[str, Any], data: str) -> None:
+def test_every_layout_is_read_back_unchanged(
+    tmp_path: Path, fields: dict[str, Any], data: str
+) -> None:
     path = tmp_path / "a.pcd"
     write_encoded(path, fields, data=data)
     back = read_pcd(path)
@@ -73,13 +86,19 @@ def test_lzf_repeats_earlier_bytes(draw: st.DataObject) -> None:
     for _ in range(draw.draw(st.integers(1, 20))):
         run = draw.draw(st.binary(min_size=1, max_size=32))
         packed, content = packed + bytes([len(run) - 1]) + run, content + run
-        length, back = draw.draw(st.integers(3, 264)), draw.draw(st.integers(0, min(len(content), 1 << 13) - 1))
+        length, back = (
+            draw.draw(st.integers(3, 264)),
+            draw.draw(st.integers(0, min(len(content), 1 << 13) - 1)),
+        )
         for _ in range(length):
             content += content[-1 - back :][:1]
         first, more = min(length - 2, 7) << 5 | back >> 8, [length - 9] if length > 8 else []
         packed += bytes([first, *more, back & 255])
     out = np.empty(len(content), np.uint8)
-    assert kernels.lzf.decompress(kernels.as_readonly(np.frombuffer(packed, np.uint8), np.uint8), out) == -1
+    assert (
+        kernels.lzf.decompress(kernels.as_readonly(np.frombuffer(packed, np.uint8), np.uint8), out)
+        == -1
+    )
     assert out.tobytes() == content
 
 
@@ -108,7 +127,11 @@ def test_the_viewpoint_is_the_pose(tmp_path: Path) -> None:
 
 
 def test_xyz_is_float32_in_any_order_and_type(tmp_path: Path) -> None:
-    fields = {"z": np.array([3, 6], np.int32), "x": np.array([1.0, 4.0]), "y": np.array([2, 5], np.float32)}
+    fields = {
+        "z": np.array([3, 6], np.int32),
+        "x": np.array([1.0, 4.0]),
+        "y": np.array([2, 5], np.float32),
+    }
     write_pcd(tmp_path / "a.pcd", fields)
     xyz = read_pcd(tmp_path / "a.pcd").xyz
     np.testing.assert_array_equal(xyz, [[1, 2, 3], [4, 5, 6]])
@@ -118,7 +141,9 @@ def test_xyz_is_float32_in_any_order_and_type(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("data", ENCODINGS)
 @pytest.mark.parametrize("rows", [(0, 50), (7, 9), (40, 90), (9, 7), (50, 60)])
-def test_a_slice_equals_the_rows_of_the_file(tmp_path: Path, data: str, rows: tuple[int, int]) -> None:
+def test_a_slice_equals_the_rows_of_the_file(
+    tmp_path: Path, data: str, rows: tuple[int, int]
+) -> None:
     write_encoded(tmp_path / "a.pcd", cloud(), data=data)
     part, whole = read_pcd(tmp_path / "a.pcd", rows), read_pcd(tmp_path / "a.pcd")
     np.testing.assert_array_equal(part.xyz, whole.xyz[slice(*rows)])
@@ -126,14 +151,19 @@ def test_a_slice_equals_the_rows_of_the_file(tmp_path: Path, data: str, rows: tu
 
 
 def test_an_old_header_is_read(tmp_path: Path) -> None:
-    (tmp_path / "a.pcd").write_bytes(b"# 0.5\nCOLUMNS x y z\nPOINTS 2\nDATA ascii\n1 2 3\n\n4 5 6\n")
+    (tmp_path / "a.pcd").write_bytes(
+        b"# 0.5\nCOLUMNS x y z\nPOINTS 2\nDATA ascii\n1 2 3\n\n4 5 6\n"
+    )
     pcd = read_pcd(tmp_path / "a.pcd")
     np.testing.assert_array_equal(pcd.xyz, [[1, 2, 3], [4, 5, 6]])
     assert pcd.T_world_sensor is None
 
 
 def test_padding_has_no_name(tmp_path: Path) -> None:
-    head = "FIELDS x _ y\nSIZE 4 1 4\nTYPE F U F\nCOUNT 1 4 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA binary\n"
+    head = (
+        "FIELDS x _ y\nSIZE 4 1 4\nTYPE F U F\nCOUNT 1 4 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA "
+        "binary\n"
+    )
     (tmp_path / "a.pcd").write_bytes(text(head, np.arange(6, dtype="<f4").tobytes()))
     pcd = read_pcd(tmp_path / "a.pcd")
     assert "_" not in pcd
@@ -172,14 +202,18 @@ def test_a_full_disk_is_reported_and_no_file_is_left(tmp_path: Path, piecewise: 
             for part in np.split(x, 1000):
                 writer.append(x=part)
 
-    with files_end_at(1_000_000), pytest.raises(DataError, match=r"a\.pcd: cannot be written \(File too large\)"):
+    with (
+        files_end_at(1_000_000),
+        pytest.raises(DataError, match=r"a\.pcd: cannot be written \(File too large\)"),
+    ):
         write()
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     "fields",
-    [{}, {"x y": np.zeros(1)}, {"_": np.zeros(1)}, {"x": np.zeros(1, "f2")}, {"x": np.zeros((1, 2, 2))},
+    [{}, {"x "
+    "y": np.zeros(1)}, {"_": np.zeros(1)}, {"x": np.zeros(1, "f2")}, {"x": np.zeros((1, 2, 2))},
      {"x": np.zeros(1), "y": np.zeros(2)}, {"x": np.array(["a"])}],
 )  # fmt: skip
 def test_unsupported_fields_are_refused(tmp_path: Path, fields: dict[str, Any]) -> None:
@@ -203,15 +237,29 @@ def test_unsupported_fields_are_refused(tmp_path: Path, fields: dict[str, Any]) 
         (text(PLAIN.replace("SIZE 4 4 4", "SIZE 4 4") + "DATA ascii\n"), "line 3", "SIZE 4 4"),
         (text(PLAIN.replace("SIZE 4 4 4", "SIZE 4 4 2") + "DATA ascii\n"), "line 3", "'z'"),
         (text(PLAIN.replace("TYPE F F F", "TYPE F F Q") + "DATA ascii\n"), "line 4", "TYPE F F Q"),
-        (text(PLAIN.replace("COUNT 1 1 1", "COUNT 1 1 99999999") + "DATA binary\n"), "line 2", "1 MiB"),
+        (
+            text(PLAIN.replace("COUNT 1 1 1", "COUNT 1 1 99999999") + "DATA binary\n"),
+            "line 2",
+            "1 MiB",
+        ),
         (text(PLAIN.replace("WIDTH 2", "WIDTH two") + "DATA binary\n"), "line 6", "WIDTH two"),
         (text(PLAIN.replace("2\n", "9" * 15 + "\n") + "DATA binary\n"), "byte", "too short"),
         (text(PLAIN + "VIEWPOINT 0 0 0\nDATA binary\n"), "line 9", "VIEWPOINT"),
-        (text(PLAIN + "DATA binary_compressed\n", b"\1\0\0\0\377\0\0\0."), "byte 108", "inconsistent size"),
-        (text(PLAIN + "DATA binary_compressed\n", b"\3\0\0\0\30\0\0\0\377\377\377"), "byte 116", "corrupt"),
+        (
+            text(PLAIN + "DATA binary_compressed\n", b"\1\0\0\0\377\0\0\0."),
+            "byte 108",
+            "inconsistent size",
+        ),
+        (
+            text(PLAIN + "DATA binary_compressed\n", b"\3\0\0\0\30\0\0\0\377\377\377"),
+            "byte 116",
+            "corrupt",
+        ),
     ],
 )
-def test_a_corrupt_file_is_reported_with_the_place(tmp_path: Path, content: bytes, place: str, message: str) -> None:
+def test_a_corrupt_file_is_reported_with_the_place(
+    tmp_path: Path, content: bytes, place: str, message: str
+) -> None:
     path = tmp_path / "bad.pcd"
     path.write_bytes(content)
     with pytest.raises(DataError) as caught:
@@ -220,7 +268,9 @@ def test_a_corrupt_file_is_reported_with_the_place(tmp_path: Path, content: byte
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize("view", ["1 2 3 0 0 0 0", "1 2 3 1e-9 0 0 0", "1 2 3 1e300 1 1 1", "1 2 nan 1 0 0 0"])
+@pytest.mark.parametrize(
+    "view", ["1 2 3 0 0 0 0", "1 2 3 1e-9 0 0 0", "1 2 3 1e300 1 1 1", "1 2 nan 1 0 0 0"]
+)
 def test_a_viewpoint_without_rotation_is_no_pose(tmp_path: Path, view: str) -> None:
     (tmp_path / "a.pcd").write_bytes(text(PLAIN + f"VIEWPOINT {view}\nDATA binary\n", bytes(24)))
     pcd = read_pcd(tmp_path / "a.pcd")
@@ -258,7 +308,9 @@ def complete_or_refused(path: Path) -> None:
 
 @in_one_folder
 @given(st.sampled_from(ENCODINGS), st.data())
-def test_one_changed_byte_is_read_or_refused(tmp_path: Path, data: str, draw: st.DataObject) -> None:
+def test_one_changed_byte_is_read_or_refused(
+    tmp_path: Path, data: str, draw: st.DataObject
+) -> None:
     path = tmp_path / "a.pcd"
     write_encoded(path, cloud(20), pose(), data)
     content = bytearray(path.read_bytes())
@@ -270,7 +322,9 @@ def test_one_changed_byte_is_read_or_refused(tmp_path: Path, data: str, draw: st
 
 @in_one_folder
 @given(st.sampled_from(ENCODINGS), st.data())
-def test_a_file_truncated_anywhere_is_refused(tmp_path: Path, data: str, draw: st.DataObject) -> None:
+def test_a_file_truncated_anywhere_is_refused(
+    tmp_path: Path, data: str, draw: st.DataObject
+) -> None:
     path = tmp_path / "a.pcd"
     write_encoded(path, cloud(20), pose(), data)
     content = path.read_bytes()

@@ -19,8 +19,13 @@ from dynaviz.io.pcd import write_pcd
 XYZ = np.random.default_rng(0).normal(scale=30, size=(500, 3)).astype(np.float32)
 
 
-def ply(path: Path, order: str, kind: str, rows: np.ndarray, before: bytes = b"", after: bytes = b"") -> Path:
-    """Write a file with intensities between the coordinates; ``before`` and ``after`` are extra header lines."""
+def ply(
+    path: Path, order: str, kind: str, rows: np.ndarray, before: bytes = b"", after: bytes = b""
+) -> Path:
+    """Write a file with intensities between the coordinates.
+
+    ``before`` and ``after`` are extra header lines.
+    """
     form = {"<": "binary_little_endian", ">": "binary_big_endian", "=": "ascii"}[order]
     head = f"ply\nformat {form} 1.0\ncomment x y z\n".encode() + before
     head += f"element vertex {len(rows)}\n".encode()
@@ -51,16 +56,22 @@ def test_the_vertices_of_a_mesh(tmp_path: Path) -> None:
     box = o3d.geometry.TriangleMesh.create_box(1, 2, 3)
     for ascii_ in (True, False):
         o3d.io.write_triangle_mesh(str(tmp_path / "a.ply"), box, write_ascii=ascii_)
-        np.testing.assert_array_equal(read_points(tmp_path / "a.ply"), np.asarray(box.vertices, np.float32))
+        np.testing.assert_array_equal(
+            read_points(tmp_path / "a.ply"), np.asarray(box.vertices, np.float32)
+        )
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     hnp.arrays(np.float32, st.tuples(st.integers(0, 9), st.just(3)), elements=st.floats(width=32)),
     st.sampled_from("<>="),
     st.sampled_from(["float", "double"]),
 )
-def test_every_order_and_precision_of_ply(tmp_path: Path, rows: np.ndarray, order: str, kind: str) -> None:
+def test_every_order_and_precision_of_ply(
+    tmp_path: Path, rows: np.ndarray, order: str, kind: str
+) -> None:
     np.testing.assert_array_equal(read_points(ply(tmp_path / "a.ply", order, kind, rows)), rows)
 
 
@@ -68,7 +79,9 @@ def test_open3d_agrees_on_big_endian_ply(tmp_path: Path) -> None:
     import open3d as o3d
 
     path = ply(tmp_path / "a.ply", ">", "float", XYZ)
-    np.testing.assert_array_equal(np.asarray(o3d.io.read_point_cloud(str(path)).points), read_points(path))
+    np.testing.assert_array_equal(
+        np.asarray(o3d.io.read_point_cloud(str(path)).points), read_points(path)
+    )
 
 
 def test_elements_before_the_vertices_of_ply_are_skipped(tmp_path: Path) -> None:
@@ -97,7 +110,9 @@ def test_scale_and_offset_of_las(tmp_path: Path, suffix: str) -> None:
             read_points(tmp_path / f"b.{suffix}")
 
 
-def test_las_without_laspy_names_the_package_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_las_without_laspy_names_the_package_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "laspy", None)
     with pytest.raises(MissingDependency, match=r"pip install 'laspy\[lazrs\]'"):
         read_points(tmp_path / "a.las")
@@ -128,7 +143,11 @@ def _replace(old: bytes, new: bytes) -> Callable[[Path], None]:
     [
         ("<", _cut, r"byte \d+: file is too short: 500 vertices need 8000 bytes, 7995 are left"),
         ("=", lambda path: path.write_bytes(path.read_bytes()[:-40]), "line 509: cannot be read"),
-        ("=", _replace(b"vertex 500", b"vertex 501"), "contains 500 vertices, but the header states 501"),
+        (
+            "=",
+            _replace(b"vertex 500", b"vertex 501"),
+            "contains 500 vertices, but the header states 501",
+        ),
         ("=", _replace(b"vertex 500", b"vertex 99999999999999999999"), "line 4.*is not valid PLY"),
         ("=", _replace(b"vertex 500", b"vertex -1"), "line 4"),
         ("<", _replace(b"ply\n", b"plx\n"), "line 1: not a PLY file"),
@@ -142,7 +161,9 @@ def _replace(old: bytes, new: bytes) -> Callable[[Path], None]:
         ("<", _replace(b"end_header\n", b""), "line|header"),
     ],
 )
-def test_corrupt_ply_is_refused(tmp_path: Path, order: str, damage: Callable[[Path], None], message: str) -> None:
+def test_corrupt_ply_is_refused(
+    tmp_path: Path, order: str, damage: Callable[[Path], None], message: str
+) -> None:
     path = ply(tmp_path / "a.ply", order, "float", XYZ)
     damage(path)
     with pytest.raises(DataError, match=message):
@@ -167,14 +188,18 @@ def test_invalid_arrays_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("arrays", "found"),
-    [({"a": XYZ, "normals": XYZ}, "2 arrays"), ({"a": XYZ[:, :2], "normals": XYZ.astype("U9")}, "no arrays")],
+    [
+        ({"a": XYZ, "normals": XYZ}, "2 arrays"),
+        ({"a": XYZ[:, :2], "normals": XYZ.astype("U9")}, "no arrays"),
+    ],
 )
 def test_an_archive_must_tell_which_array_is_the_cloud(
     tmp_path: Path, arrays: dict[str, np.ndarray], found: str
 ) -> None:
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(
-        DataError, match=rf"a\.npz.*contains {found} \(N, 3 or more\) of numbers, and none named points"
+        DataError,
+        match=rf"a\.npz.*contains {found} \(N, 3 or more\) of numbers, and none named points",
     ):
         read_points(tmp_path / "a.npz")
     np.savez(tmp_path / "a.npz", xyz=XYZ + 1, **arrays)
@@ -183,7 +208,8 @@ def test_an_archive_must_tell_which_array_is_the_cloud(
 
 def test_an_unknown_suffix_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        DataError, match=r"a\.obj: unknown point cloud format.*\.las, \.laz, \.npy, \.npz, \.pcd, \.ply"
+        DataError,
+        match=r"a\.obj: unknown point cloud format.*\.las, \.laz, \.npy, \.npz, \.pcd, \.ply",
     ):
         read_points(tmp_path / "a.obj")
 

@@ -56,16 +56,39 @@ def test_tum_keeps_every_nanosecond(tmp_path: Path) -> None:
     ("header", "columns", "stamps", "numbers"),
     [
         ("timestamp,x,y,z,qx,qy,qz,qw", (STAMPS, *XYZ.T, *QUATERNIONS.T), True, False),
-        ("stamp_ns,frame,tx,ty,tz,qx,qy,qz,qw", (STAMPS, range(6), *XYZ.T, *QUATERNIONS.T), True, True),
-        ("index,qw,qx,qy,qz,pos_x,pos_y,pos_z", (range(6), *np.roll(QUATERNIONS, 1, 1).T, *XYZ.T), False, True),
-        ("#timestamp [ns], p_x [m], p_y [m], p_z [m], q_w [], q_x [], q_y [], q_z []",
-         (STAMPS, *XYZ.T, *np.roll(QUATERNIONS, 1, 1).T), True, False),
-        ("time [s],comment,position.x,position.y,position.z,orientation.x,orientation.y,orientation.z,orientation.w",
-         (SECONDS, ["good"] * 6, *XYZ.T, *QUATERNIONS.T), True, False),
-        ("id," + ",".join(f"T{row}{column}" for row in range(4) for column in range(4)),
-         (range(6), *T.reshape(6, 16).T), False, True),
+        (
+            "stamp_ns,frame,tx,ty,tz,qx,qy,qz,qw",
+            (STAMPS, range(6), *XYZ.T, *QUATERNIONS.T),
+            True,
+            True,
+        ),
+        (
+            "index,qw,qx,qy,qz,pos_x,pos_y,pos_z",
+            (range(6), *np.roll(QUATERNIONS, 1, 1).T, *XYZ.T),
+            False,
+            True,
+        ),
+        (
+            "#timestamp [ns], p_x [m], p_y [m], p_z [m], q_w [], q_x [], q_y [], q_z []",
+            (STAMPS, *XYZ.T, *np.roll(QUATERNIONS, 1, 1).T),
+            True,
+            False,
+        ),
+        (
+            "time "
+            "[s],comment,position.x,position.y,position.z,orientation.x,orientation.y,orientation.z,orientation.w",
+            (SECONDS, ["good"] * 6, *XYZ.T, *QUATERNIONS.T),
+            True,
+            False,
+        ),
+        (
+            "id," + ",".join(f"T{row}{column}" for row in range(4) for column in range(4)),
+            (range(6), *T.reshape(6, 16).T),
+            False,
+            True,
+        ),
     ],
-)  # fmt: skip
+)
 def test_csv_columns_are_found_by_name(
     tmp_path: Path, header: str, columns: tuple[object, ...], stamps: bool, numbers: bool
 ) -> None:
@@ -120,7 +143,10 @@ GOOD = "1 0 0 0 0 1 0 0 0 0 1 0\n"
         ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 0\n", "line 2: not a valid pose.*quaternion"),
         ("1 0 0 0 0 0 0 1\nnoon 0 0 0 0 0 0 1\n", "line 2: not a valid time"),
         ("time,x,y,z\n1,0,0,0\n", "line 1: the header has no pose columns: time,x,y,z"),
-        ("time,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0\n", "line 2: 7 values, but the header has 8 columns"),
+        (
+            "time,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0\n",
+            "line 2: 7 values, but the header has 8 columns",
+        ),
         ("time,x,y,z,qx,qy,qz,qw\n", "contains no poses"),
     ],
 )
@@ -147,7 +173,9 @@ def test_usual_names_are_found(tmp_path: Path) -> None:
 def test_keyframes_of_lio_sam(tmp_path: Path) -> None:
     path = tmp_path / "transformations.pcd"
     angles = TURNS.as_euler("xyz")
-    axes = dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), np.hstack([XYZ, angles]).T, strict=True))
+    axes = dict(
+        zip(("x", "y", "z", "roll", "pitch", "yaw"), np.hstack([XYZ, angles]).T, strict=True)
+    )
     fields = {name: column.astype(np.float32) for name, column in axes.items()}
     write_pcd(path, {**fields, "time": STAMPS / 1e9})
     found = read_poses(path)

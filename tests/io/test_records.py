@@ -21,15 +21,23 @@ value = st.recursive(
 )
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.lists(st.dictionaries(st.text(), value, max_size=4), max_size=5), st.integers(1, 40), st.booleans())
+@settings(
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.lists(st.dictionaries(st.text(), value, max_size=4), max_size=5),
+    st.integers(1, 40),
+    st.booleans(),
+)
 def test_records_equal_json_load(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: list[Any], chunk: int, plain: bool
 ) -> None:
     monkeypatch.setattr(records, "_CHUNK", chunk)
     path = tmp_path / "table.json"
     path.write_text(
-        json.dumps(rows, indent=None if plain else 1, ensure_ascii=plain), encoding="utf-8", errors="replace"
+        json.dumps(rows, indent=None if plain else 1, ensure_ascii=plain),
+        encoding="utf-8",
+        errors="replace",
     )
     assert list(read_records(path)) == json.loads(path.read_text(encoding="utf-8"))
 
@@ -49,10 +57,14 @@ def test_records_equal_json_load(
         (b'[{"a": "\xff"}]', 0),
     ],
 )
-def test_an_invalid_list_is_reported_with_the_record(tmp_path: Path, content: bytes, number: int) -> None:
+def test_an_invalid_list_is_reported_with_the_record(
+    tmp_path: Path, content: bytes, number: int
+) -> None:
     path = tmp_path / "table.json"
     path.write_bytes(content)
-    with pytest.raises(DataError, match=rf"table\.json, record {number}: not a valid list of records"):
+    with pytest.raises(
+        DataError, match=rf"table\.json, record {number}: not a valid list of records"
+    ):
         list(read_records(path))
 
 

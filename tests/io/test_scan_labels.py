@@ -13,7 +13,9 @@ from dynaviz.errors import DataError
 from dynaviz.io.scan_labels import read_moving
 
 MOVING = np.array([0, 1, 1, 0, 1], np.bool_)
-CLASSES = np.array([0, 251, 252, 40, 259])  # unlabelled, moving, moving car, road, moving other vehicle
+CLASSES = np.array(
+    [0, 251, 252, 40, 259]
+)  # unlabelled, moving, moving car, road, moving other vehicle
 INSTANCES = np.array([7, 3, 65535, 0, 1]) << 16
 
 
@@ -28,33 +30,54 @@ def written(path: Path, values: Any, **others: Any) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".label", ".npy", ".npz"])
-@pytest.mark.parametrize("values", [MOVING.astype(np.uint32), CLASSES, CLASSES + INSTANCES, 9 + 242 * MOVING])
+@pytest.mark.parametrize(
+    "values", [MOVING.astype(np.uint32), CLASSES, CLASSES + INSTANCES, 9 + 242 * MOVING]
+)
 def test_every_format_and_meaning(tmp_path: Path, suffix: str, values: np.ndarray) -> None:
-    np.testing.assert_array_equal(read_moving(written(tmp_path / f"000000{suffix}", values), 5), MOVING)
+    np.testing.assert_array_equal(
+        read_moving(written(tmp_path / f"000000{suffix}", values), 5), MOVING
+    )
 
 
-@pytest.mark.parametrize("values", [MOVING, MOVING.astype(np.float32), MOVING.astype(np.int8)[:, None]])
+@pytest.mark.parametrize(
+    "values", [MOVING, MOVING.astype(np.float32), MOVING.astype(np.int8)[:, None]]
+)
 def test_arrays_as_networks_write_them(tmp_path: Path, values: np.ndarray) -> None:
     np.testing.assert_array_equal(read_moving(written(tmp_path / "a.npy", values), 5), MOVING)
 
 
 def test_one_is_an_outlier_among_classes(tmp_path: Path) -> None:
-    assert read_moving(written(tmp_path / "a.label", [0, 1, 40, 254]), 4).tolist() == [False, False, False, True]
+    assert read_moving(written(tmp_path / "a.label", [0, 1, 40, 254]), 4).tolist() == [
+        False,
+        False,
+        False,
+        True,
+    ]
 
 
 def test_an_array_is_found_by_name(tmp_path: Path) -> None:
     path = written(tmp_path / "a.npz", CLASSES, confidence=np.linspace(0, 1, 5))
     np.testing.assert_array_equal(read_moving(path, 5, "labels"), MOVING)
-    for key, expected in ((None, "arrays labels, confidence"), ("motion", "confidence, and none named motion")):
-        with pytest.raises(DataError, match=rf"a\.npz: contains the {'' if key is None else '.*'}{expected}.*key=NAME"):
+    for key, expected in (
+        (None, "arrays labels, confidence"),
+        ("motion", "confidence, and none named motion"),
+    ):
+        with pytest.raises(
+            DataError,
+            match=rf"a\.npz: contains the {'' if key is None else '.*'}{expected}.*key=NAME",
+        ):
             read_moving(path, 5, key)
 
 
 @pytest.mark.parametrize("suffix", [".label", ".npy", ".npz"])
 @pytest.mark.parametrize("points", [4, 6, 0])
-def test_wrong_lengths_name_the_file_and_both_counts(tmp_path: Path, suffix: str, points: int) -> None:
+def test_wrong_lengths_name_the_file_and_both_counts(
+    tmp_path: Path, suffix: str, points: int
+) -> None:
     path = written(tmp_path / f"000017{suffix}", CLASSES)
-    with pytest.raises(DataError, match=rf"000017\{suffix}: has 5 labels, but the scan has {points} points"):
+    with pytest.raises(
+        DataError, match=rf"000017\{suffix}: has 5 labels, but the scan has {points} points"
+    ):
         read_moving(path, points)
 
 

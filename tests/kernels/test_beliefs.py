@@ -71,7 +71,9 @@ def test_voxels_expire_in_their_scan_and_blocks_without_old_ones_are_skipped():
     for oldest in (3, 4, 11, 30):
         kernels.beliefs.expire(blocks, oldest, seen, known, first)
         bits &= seen > oldest
-        np.testing.assert_array_equal(np.unpackbits(known.view(np.uint8), bitorder="little").reshape(40, -1), bits)
+        np.testing.assert_array_equal(
+            np.unpackbits(known.view(np.uint8), bitorder="little").reshape(40, -1), bits
+        )
         np.testing.assert_array_equal(first, np.where(bits, seen, never).min(1))
     assert (first == never).all()
     known[0, 0], first[0] = 1, 31
@@ -79,7 +81,8 @@ def test_voxels_expire_in_their_scan_and_blocks_without_old_ones_are_skipped():
     assert known[0, 0] == 1, "a block was searched that can contain no old voxel"
 
 
-# Looks until the state changes, by squared distance: from new to free, new to occupied, occupied to free, and back.
+# Looks until the state changes, by squared distance: from new to free, new to occupied, occupied to
+# free, and back.
 LOOKS = {
     0: (None, 1, None, 1),
     1: (None, 17, None, 27),
@@ -113,7 +116,9 @@ def test_the_number_of_looks_that_change_a_state(squared):
     def compiled(start, goal):
         occupied, remembered = start[0][1], start[1] > 0
         for n in range(1, 60):
-            occupied, free = kernels.beliefs._filtered(occupied, remembered, np.exp(-squared / 2), 0.005)
+            occupied, free = kernels.beliefs._filtered(
+                occupied, remembered, np.exp(-squared / 2), 0.005
+            )
             remembered = True
             if (occupied, free)[goal - 1] > 0.99:
                 return n

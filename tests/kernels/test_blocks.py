@@ -42,7 +42,10 @@ def test_at_a_tenth_of_a_metre_a_cell_is_a_block():
 
 def test_places_without_points_have_no_voxel():
     grid = BlockGrid(extent_of(np.array([[0.5, 0.5, 0.5], [20.0, 0.0, 0.0]], np.float32)), 0.1)
-    elsewhere = np.array([[5, 0, 0], [-1, 0, 0], [0, 900, 0], [np.nan, 0, 0], [np.inf, 0, 0], [1e30, 0, 0]], np.float32)
+    elsewhere = np.array(
+        [[5, 0, 0], [-1, 0, 0], [0, 900, 0], [np.nan, 0, 0], [np.inf, 0, 0], [1e30, 0, 0]],
+        np.float32,
+    )
     assert (grid.locate(elsewhere) == -1).all()
 
 
@@ -73,7 +76,9 @@ def test_blocks_are_added_within_the_bounds_while_there_is_room():
 
 @pytest.mark.plain
 def test_an_empty_extent_has_no_blocks():
-    grid = BlockGrid(Extent(np.full(3, np.inf), np.full(3, -np.inf), np.zeros((0, 3), np.int32)), 0.1)
+    grid = BlockGrid(
+        Extent(np.full(3, np.inf), np.full(3, -np.inf), np.zeros((0, 3), np.int32)), 0.1
+    )
     assert len(grid) == 0
     assert grid.locate(np.zeros((2, 3), np.float32)).tolist() == [-1, -1]
 

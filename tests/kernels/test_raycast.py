@@ -16,7 +16,9 @@ RESOLUTION = 0.1
 REACH = 26  # cells of 0.8 m to each side: some super-blocks of 12.8 m
 
 # Positions in voxels; multiples of 1/8 give many rays that cross several borders at once.
-place = st.tuples(*[st.floats(-200, 200, width=32) | st.integers(-1600, 1600).map(lambda n: n / 8)] * 3)
+place = st.tuples(
+    *[st.floats(-200, 200, width=32) | st.integers(-1600, 1600).map(lambda n: n / 8)] * 3
+)
 
 
 def grid_of(cells) -> BlockGrid:
@@ -83,7 +85,9 @@ def test_many_rays_mark_the_union_of_single_rays():
     random = np.random.default_rng(0)
     origins, ends = random.uniform(-150, 150, (2000, 3)), random.uniform(-150, 150, (2000, 3))
     grid = grid_of(random.integers(-19, 19, (3000, 3)))
-    alone = set().union(*(crossed(grid, along([o], [e])) for o, e in zip(origins, ends, strict=True)))
+    alone = set().union(
+        *(crossed(grid, along([o], [e])) for o, e in zip(origins, ends, strict=True))
+    )
     assert crossed(grid, along(origins, ends)) == alone
     try:
         kernels.set_threads(1)
@@ -124,13 +128,19 @@ def test_a_ray_of_kilometres_ends_in_its_voxel():
 
 
 def with_addresses(grid: BlockGrid) -> BlockGrid:
-    """The grid, made to mark the surroundings of the sensor without its directory, as grids that roll do."""
+    """The grid, made to mark the surroundings of the sensor without its directory, as grids that
+    roll do.
+    """
     words, touched = kernels.addresses.memory(kernels.threads_in_use())
     grid._near = words[..., 0], touched
     return grid
 
 
-far = st.tuples(st.floats(-1200, 1200, width=32), st.floats(-1200, 1200, width=32), st.floats(-300, 300, width=32))
+far = st.tuples(
+    st.floats(-1200, 1200, width=32),
+    st.floats(-1200, 1200, width=32),
+    st.floats(-300, 300, width=32),
+)
 
 
 @given(place, far, far, st.integers(1, 7))
@@ -141,9 +151,15 @@ def test_rays_cross_the_same_voxels_at_addresses_and_beyond(offset, end, other, 
     origins = np.stack([first, first + offset])
     ends = origins + np.array([end, other])
     share = np.linspace(0, 1, 500)[::step, None]
-    cells = np.concatenate([o + share * (e - o) for o, e in zip(origins, ends, strict=True)]) * RESOLUTION / CELL
+    cells = (
+        np.concatenate([o + share * (e - o) for o, e in zip(origins, ends, strict=True)])
+        * RESOLUTION
+        / CELL
+    )
     bounds = np.full(3, 600.0)
-    grid = BlockGrid(Extent(-bounds, bounds, np.unique(np.floor(cells).astype(np.int32), axis=0)), RESOLUTION)
+    grid = BlockGrid(
+        Extent(-bounds, bounds, np.unique(np.floor(cells).astype(np.int32), axis=0)), RESOLUTION
+    )
     scan = along(origins, ends)
     expected = crossed(grid, scan)
     assert crossed(with_addresses(grid), scan) == expected

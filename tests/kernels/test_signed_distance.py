@@ -11,7 +11,13 @@ from dynaviz import kernels
 pytestmark = pytest.mark.boundscheck
 
 SIZE, TRUNCATION, ROWS, COLUMNS = 0.1, 0.4, 32, 512
-VIEW = (float(ROWS), float(COLUMNS), math.radians(12), (ROWS - 1) / math.radians(27), COLUMNS / (2 * math.pi))
+VIEW = (
+    float(ROWS),
+    float(COLUMNS),
+    math.radians(12),
+    (ROWS - 1) / math.radians(27),
+    COLUMNS / (2 * math.pi),
+)
 
 
 def updated(blocks, position, axes, image) -> np.ndarray:
@@ -23,7 +29,9 @@ def updated(blocks, position, axes, image) -> np.ndarray:
     state = np.zeros(512 * len(blocks), np.float32), np.zeros(512 * len(blocks), np.uint16)
     active = np.arange(len(blocks), dtype=np.int32)
     camera = position, axes, offsets, VIEW, image
-    kernels.signed_distance.integrate(active, blocks, SIZE, *camera, TRUNCATION, 0.3, 1000, *voxels, *state, *bits, 1)
+    kernels.signed_distance.integrate(
+        active, blocks, SIZE, *camera, TRUNCATION, 0.3, 1000, *voxels, *state, *bits, 1
+    )
     return bits[2]
 
 
@@ -31,9 +39,14 @@ def updated(blocks, position, axes, image) -> np.ndarray:
 def test_blocks_out_of_view_have_no_voxels_that_the_image_updates(seed):
     random = np.random.default_rng(seed)
     blocks = np.unique(random.integers((-40, -40, -12), (40, 40, 12), (3000, 3)), axis=0)
-    position, axes = random.uniform(-3, 3, 3), Rotation.from_rotvec(random.normal(size=3) * (0.2, 0.2, 3)).as_matrix()
+    position, axes = (
+        random.uniform(-3, 3, 3),
+        Rotation.from_rotvec(random.normal(size=3) * (0.2, 0.2, 3)).as_matrix(),
+    )
     coarse = np.exp(random.uniform(np.log(2), np.log(30), (8, 32)))  # metres: surfaces near and far
-    ranges = np.where(random.random((ROWS, COLUMNS)) < 0.1, 0, np.kron(coarse, np.ones((4, 16)))).astype(np.float32)
+    ranges = np.where(
+        random.random((ROWS, COLUMNS)) < 0.1, 0, np.kron(coarse, np.ones((4, 16)))
+    ).astype(np.float32)
     pixels = np.arange(ROWS * COLUMNS, dtype=np.int32)
     image = kernels.signed_distance.image(pixels, ranges.ravel(), ROWS, COLUMNS)
     table = kernels.signed_distance.farthest(image, ROWS, COLUMNS)
@@ -50,7 +63,9 @@ def test_the_farthest_ranges_of_the_next_pixels_wrap_around(columns):
     image = np.random.default_rng(0).random((3, columns)).astype(np.float32)
     table = kernels.signed_distance.farthest(image.ravel(), 3, columns).reshape(-1, 3, columns)
     for k, found in enumerate(table):
-        np.testing.assert_array_equal(found, np.max([np.roll(image, -n, axis=1) for n in range(1 << k)], axis=0))
+        np.testing.assert_array_equal(
+            found, np.max([np.roll(image, -n, axis=1) for n in range(1 << k)], axis=0)
+        )
 
 
 @pytest.mark.parametrize("columns", [64, 20_000])
@@ -58,7 +73,9 @@ def test_pixels_are_those_of_angles_in_float64(columns):
     random = np.random.default_rng(0)
     points = random.normal(size=(20_000, 3)).astype(np.float32)
     view = np.array([32, columns, np.radians(20), 31 / np.radians(40), columns / (2 * np.pi)])
-    pixels, _, inside = kernels.signed_distance.pixels(points, np.zeros(3), np.eye(3), 0.1, 90.0, view)
+    pixels, _, inside = kernels.signed_distance.pixels(
+        points, np.zeros(3), np.eye(3), 0.1, 90.0, view
+    )
     x, y, z = points.T.astype(np.float64)
     row = np.floor((view[2] - np.arctan2(z, np.hypot(x, y))) * view[3] + 0.5).astype(int)
     column = np.floor((np.arctan2(y, x) + np.pi) * view[4] + 0.5).astype(int) % columns

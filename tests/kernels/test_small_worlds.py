@@ -1,4 +1,6 @@
-"""A method that uses most kernels, on a world small enough to run them as plain Python (make coverage)."""
+"""A method that uses most kernels, on a world small enough to run them as plain Python (make
+coverage).
+"""
 
 from __future__ import annotations
 

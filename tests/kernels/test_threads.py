@@ -89,11 +89,16 @@ def test_runs_in_threads_of_an_event_loop(serial: list[str]) -> None:
 @pytest.mark.slow
 def test_runs_in_threads_where_only_workqueue_is_installed(serial: list[str]) -> None:
     """This threading layer of numba ends the process if two threads use it at once."""
-    assert json.loads(python(IN_THREADS, NUMBA_THREADING_LAYER="workqueue")) == [serial, "workqueue"]
+    assert json.loads(python(IN_THREADS, NUMBA_THREADING_LAYER="workqueue")) == [
+        serial,
+        "workqueue",
+    ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", [LAYER, OPEN3D + LAYER, LAYER + OPEN3D], ids=["alone", "open3d first", "open3d last"])
+@pytest.mark.parametrize(
+    "code", [LAYER, OPEN3D + LAYER, LAYER + OPEN3D], ids=["alone", "open3d first", "open3d last"]
+)
 def test_the_threading_layer_does_not_depend_on_the_order_of_imports(code: str) -> None:
     assert python(code) == ("omp" if has_openmp() else "workqueue")
 
@@ -104,7 +109,9 @@ def test_the_user_may_select_the_threading_layer() -> None:
 
 
 def test_code_of_methods_is_read_in_threads() -> None:
-    """In Python 3.11, threads that parse at once fail if one of them waits while it builds the tree."""
+    """In Python 3.11, threads that parse at once fail if one of them waits while it builds the
+    tree.
+    """
     names = [handle.name for handle in registry.handles("methods")]
 
     def wait(*_: object) -> None:
@@ -115,7 +122,9 @@ def test_code_of_methods_is_read_in_threads() -> None:
     gc.set_threshold(50)
     try:
         with ThreadPoolExecutor(THREADS) as pool:
-            found = list(pool.map(lambda name: plugin_code.plugin.__wrapped__("methods", name), names))
+            found = list(
+                pool.map(lambda name: plugin_code.plugin.__wrapped__("methods", name), names)
+            )
     finally:
         gc.set_threshold(*before)
         gc.callbacks.remove(wait)
@@ -127,7 +136,9 @@ def test_recordings_in_threads(tmp_path: Path) -> None:
     from dynaviz.views.read.reader import RunRecording  # not needed by the child process above
 
     with ThreadPoolExecutor(3) as pool:
-        results = list(pool.map(lambda k: api.run("octomap", room(3, 300), out=tmp_path / str(k)), range(3)))
+        results = list(
+            pool.map(lambda k: api.run("octomap", room(3, 300), out=tmp_path / str(k)), range(3))
+        )
     clouds = [(tmp_path / str(k) / "static_map.pcd").read_bytes() for k in range(3)]
     assert len(set(clouds)) == 1
     for k, result in enumerate(results):

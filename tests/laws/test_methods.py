@@ -1,4 +1,7 @@
-"""Laws for any method, tested on every installed one; NOT_MET lists the methods that break a law, and why."""
+"""Laws for any method, tested on every installed one.
+
+NOT_MET lists the methods that break a law, and why.
+"""
 
 from __future__ import annotations
 
@@ -20,19 +23,23 @@ METHODS = [handle.name for handle in registry.handles("methods")]
 STILL = 6  # frames of a static world
 
 DRAWS = (
-    "the ground plane is the best of several planes through random points, which depend on the seed, the frame number "
-    "and the order of the points (PCL's RANSAC): ground points at its border change, and with them the noise"
+    "the ground plane is the best of several planes through random points, which depend on the "
+    "seed, the frame number "
+    "and the order of the points (PCL's RANSAC): ground points at its border change, and with them "
+    "the noise"
 )
 NOT_MET = {
     (
         "dynablox",
         "removed",
-    ): "a voxel and all its neighbours must be observed as free for 6 frames before the box arrives: "
+    ): "a voxel and all its neighbours must be observed as free for 6 frames before the box "
+    "arrives: "
     "earlier boxes are kept, and so are boxes next to space that no ray crossed",
     (
         "freedom",
         "removed",
-    ): "a voxel and all its neighbours must be crossed in 6 scans in a row, without a hit: parts of the box are kept",
+    ): "a voxel and all its neighbours must be crossed in 6 scans in a row, without a hit: parts "
+    "of the box are kept",
     (
         "hmm_mos",
         "removed",
@@ -40,16 +47,19 @@ NOT_MET = {
     (
         "octomap_gf",
         "removed",
-    ): "points that are sparse in their scan count as noise and cast no ray, so too few rays cross the box",
+    ): "points that are sparse in their scan count as noise and cast no ray, so too few rays cross "
+    "the box",
     ("octomap_gf", "order"): DRAWS,
     ("octomap_gf", "numbers"): DRAWS,
 }
 """By method and law: what the published algorithm does instead."""
 
 SHARE = {"dufomap": 0.9}
-"""The share of the box that a method must remove, if less than 0.99: DUFOMap needs rays through all of 27 voxels."""
+"""The share of the box that a method must remove, if less than 0.99: DUFOMap needs rays through all
+of 27 voxels."""
 
-ROUNDED = 5e-4  # share of points whose label may change, through rounding of sums and other random samples
+# share of points whose label may change, through rounding of sums and other random samples
+ROUNDED = 5e-4
 
 
 def labels(name: str, scans: list[Scan]) -> list[Bool]:
@@ -89,7 +99,10 @@ def name(request: pytest.FixtureRequest) -> Any:
 
 
 def test_a_box_that_rays_pass_through_is_removed(name: str) -> None:
-    """The box is never in the same place twice; in at least four other scans, rays pass on all sides of the point."""
+    """The box is never in the same place twice.
+
+    In at least four other scans, rays pass on all sides of the point.
+    """
     through = through_box()
     assert through.sum() > 1000
     removed = np.concatenate(answers(name))[through].mean()
@@ -101,24 +114,37 @@ def test_repeated_scans_of_a_static_hall_keep_it_still(name: str) -> None:
     world = hall(STILL, box=False)
     once = np.concatenate(labels(name, world))
     again = [dataclasses.replace(scan, index=STILL + scan.index) for scan in world]
-    for order in (world + again, [scan for pair in zip(world, again, strict=True) for scan in pair]):
+    for order in (
+        world + again,
+        [scan for pair in zip(world, again, strict=True) for scan in pair],
+    ):
         more = labels(name, order)
-        of_world = np.concatenate([dynamic for scan, dynamic in zip(order, more, strict=True) if scan.index < STILL])
-        assert (of_world & ~once).sum() < ROUNDED * len(once), f"{(of_world & ~once).sum()} points became dynamic"
+        of_world = np.concatenate(
+            [dynamic for scan, dynamic in zip(order, more, strict=True) if scan.index < STILL]
+        )
+        assert (of_world & ~once).sum() < ROUNDED * len(once), (
+            f"{(of_world & ~once).sum()} points became dynamic"
+        )
 
 
 def test_labels_do_not_depend_on_point_order(name: str) -> None:
     random = np.random.default_rng(0)
     orders = [random.permutation(len(scan)) for scan in with_box()]
-    mixed = [dataclasses.replace(s, points=s.points[k], labels=None) for s, k in zip(with_box(), orders, strict=True)]
+    mixed = [
+        dataclasses.replace(s, points=s.points[k], labels=None)
+        for s, k in zip(with_box(), orders, strict=True)
+    ]
     changed = sum(
-        (before[k] != after).sum() for before, after, k in zip(answers(name), labels(name, mixed), orders, strict=True)
+        (before[k] != after).sum()
+        for before, after, k in zip(answers(name), labels(name, mixed), orders, strict=True)
     )
     assert not changed, f"{changed} labels changed with the order of points"
 
 
 def test_labels_do_not_depend_on_stamps_and_frame_numbers(name: str) -> None:
-    renamed = [dataclasses.replace(scan, index=5000 - 7 * scan.index, stamp_ns=None) for scan in with_box()]
+    renamed = [
+        dataclasses.replace(scan, index=5000 - 7 * scan.index, stamp_ns=None) for scan in with_box()
+    ]
     changed = sum((a != b).sum() for a, b in zip(answers(name), labels(name, renamed), strict=True))
     assert not changed, f"{changed} labels changed with the numbers of frames"
 

@@ -25,7 +25,9 @@ pytestmark = pytest.mark.boundscheck
 
 some = settings(max_examples=30)
 numbers = st.floats(-100, 100, allow_subnormal=False)
-quaternions = hnp.arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 1e-3)
+quaternions = hnp.arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(
+    lambda q: np.linalg.norm(q) > 1e-3
+)
 poses = st.builds(geometry.pose, hnp.arrays(np.float64, 3, elements=numbers), quaternions)
 whole_steps = st.tuples(*[st.integers(-40, 40)] * 3)
 binary_sizes = st.sampled_from([0.125, 0.25, 0.5, 1.0, 2.0])  # voxels whose borders are float32
@@ -40,7 +42,11 @@ def clouds(most: int = 40, least: int = 0) -> st.SearchStrategy[Any]:
 
     def cloud(n: int, seed: int) -> Any:
         random = np.random.default_rng(seed)
-        kinds = [random.uniform(-60, 60, (n, 3)), random.integers(-30, 30, (n, 3)), random.normal(0, 0.01, (n, 3))]
+        kinds = [
+            random.uniform(-60, 60, (n, 3)),
+            random.integers(-30, 30, (n, 3)),
+            random.normal(0, 0.01, (n, 3)),
+        ]
         points = np.choose(random.integers(0, 3, (n, 3)), kinds)
         return (np.round(points * 1024) / 1024).astype(np.float32)
 
@@ -70,7 +76,10 @@ def test_the_inverse_of_a_composition_reverses_it(T_a_b: Any, T_b_c: Any) -> Non
 @some
 @given(poses, poses, poses)
 def test_composition_is_associative(A: Any, B: Any, C: Any) -> None:
-    left, right = geometry.compose(geometry.compose(A, B), C), geometry.compose(A, geometry.compose(B, C))
+    left, right = (
+        geometry.compose(geometry.compose(A, B), C),
+        geometry.compose(A, geometry.compose(B, C)),
+    )
     np.testing.assert_allclose(left, right, atol=1e-10)
 
 
@@ -87,7 +96,9 @@ def test_transforms_preserve_distances(T: Any, points: Any) -> None:
     def distances(xyz: Any) -> Any:
         return np.linalg.norm(xyz[:, None] - xyz[None], axis=-1)
 
-    np.testing.assert_allclose(distances(geometry.apply(T, points)), distances(points.astype(float)), atol=1e-11)
+    np.testing.assert_allclose(
+        distances(geometry.apply(T, points)), distances(points.astype(float)), atol=1e-11
+    )
 
 
 @some
@@ -148,7 +159,9 @@ def test_indices_grow_with_coordinates(points: Any, size: float, axis: int) -> N
     st.sampled_from([-1, 1]),
     st.integers(-2, 2),
 )
-def test_points_in_key_range_have_a_key(points: Any, size: float, axis: int, side: int, steps: int) -> None:
+def test_points_in_key_range_have_a_key(
+    points: Any, size: float, axis: int, side: int, steps: int
+) -> None:
     """Also a few float32 numbers around the farthest coordinate."""
     edge = np.float32(side * REACH * size)
     for _ in range(abs(steps)):
@@ -163,7 +176,9 @@ def test_points_in_key_range_have_a_key(points: Any, size: float, axis: int, sid
 
 @some
 @given(clouds(), st.floats(0.05, 5), seeds)
-def test_downsampling_keeps_one_point_per_voxel_and_all_counts(points: Any, size: float, seed: int) -> None:
+def test_downsampling_keeps_one_point_per_voxel_and_all_counts(
+    points: Any, size: float, seed: int
+) -> None:
     chosen, counts = voxel_downsample(points, size)
     assert counts.sum() == len(points)
     again, ones = voxel_downsample(points[chosen], size)
@@ -217,7 +232,10 @@ def test_marks_are_the_union_over_parts_of_a_scan(points: Any, seed: int, data: 
 
     def marks(xyz: Any) -> tuple[set[int], set[int]]:
         found = grid.mark(Scan(0, xyz, np.eye(4)), np.ones(len(xyz), bool), np.ones(len(xyz), bool))
-        return tuple(set(voxels_of(found.blocks, part).tolist()) for part in (found.bits[:, :8], found.bits[:, 8:]))  # type: ignore[return-value]
+        return tuple(
+            set(voxels_of(found.blocks, part).tolist())
+            for part in (found.bits[:, :8], found.bits[:, 8:])
+        )  # type: ignore[return-value]
 
     whole, first, second = marks(points[order]), marks(points[:at]), marks(points[at:])
     assert whole == (first[0] | second[0], first[1] | second[1])
@@ -235,7 +253,9 @@ def every_bin() -> Any:
     ring, sector = np.divmod(np.arange(BINS.rings * BINS.sectors), BINS.sectors)
     r = (ring + 0.5) * BINS.max_range / BINS.rings
     azimuth = (sector + 0.5) * 2 * np.pi / BINS.sectors
-    return (FOOT + np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.zeros(len(r))], 1)).astype(np.float32)
+    return (
+        FOOT + np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.zeros(len(r))], 1)
+    ).astype(np.float32)
 
 
 def test_the_middle_of_each_bin_is_in_it() -> None:
@@ -277,17 +297,23 @@ def test_a_rotation_by_whole_sectors_rotates_the_bins(points: Any, turn: int) ->
     angle = 2 * np.pi * turn / BINS.sectors
     away = points.astype(np.float64) - FOOT
     c, s = np.cos(angle), np.sin(angle)
-    turned = np.stack([c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1], away[:, 2]], 1)
+    turned = np.stack(
+        [c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1], away[:, 2]], 1
+    )
     azimuth = np.degrees(np.arctan2(away[:, 1], away[:, 0])) / 10 % 1
     r = np.hypot(away[:, 0], away[:, 1]) / 4
     band = np.minimum(np.abs(away[:, 2] - BINS.low), np.abs(away[:, 2] - BINS.high))
-    clear = (np.minimum(azimuth, 1 - azimuth) > 1e-3) & (np.abs(r - np.round(r)) > 1e-3) & (band > 1e-3)
+    clear = (
+        (np.minimum(azimuth, 1 - azimuth) > 1e-3) & (np.abs(r - np.round(r)) > 1e-3) & (band > 1e-3)
+    )
     (rows, bins), (other_rows, other) = (
         BINS.locate((xyz[clear] + FOOT).astype(np.float32), FOOT) for xyz in (away, turned)
     )
     np.testing.assert_array_equal(rows, other_rows)
     ring, sector = np.divmod(bins, BINS.sectors)
-    np.testing.assert_array_equal(other, np.where(bins < 0, -1, ring * BINS.sectors + (sector + turn) % BINS.sectors))
+    np.testing.assert_array_equal(
+        other, np.where(bins < 0, -1, ring * BINS.sectors + (sector + turn) % BINS.sectors)
+    )
 
 
 @some
@@ -295,7 +321,8 @@ def test_a_rotation_by_whole_sectors_rotates_the_bins(points: Any, turn: int) ->
 def test_height_differences_do_not_depend_on_the_origin(points: Any, lift: int) -> None:
     up = np.array([0, 0, lift / 4], np.float32)
     here, there = (
-        BINS.heights(xyz, *BINS.locate(xyz, foot)) for xyz, foot in ((points, FOOT), (points + up, FOOT + up))
+        BINS.heights(xyz, *BINS.locate(xyz, foot))
+        for xyz, foot in ((points, FOOT), (points + up, FOOT + up))
     )
     np.testing.assert_array_equal(here[0], there[0])
     np.testing.assert_array_equal(here[1], there[1])
@@ -304,7 +331,10 @@ def test_height_differences_do_not_depend_on_the_origin(points: Any, lift: int) 
 # Range images
 
 VIEWS = image_views((1.0, 0.4), (-25.0, 15.0), (-180.0, 180.0))
-AT, AXES = kernels.as_readonly((3.5, -1.25, 2.0), np.float64), kernels.as_readonly(np.eye(3), np.float64)
+AT, AXES = (
+    kernels.as_readonly((3.5, -1.25, 2.0), np.float64),
+    kernels.as_readonly(np.eye(3), np.float64),
+)
 
 
 def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
@@ -313,7 +343,10 @@ def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
 
 
 def rays(view: Any, ranges: Any) -> Any:
-    """(rows * columns, 3): a point at the centre of every pixel; those of column 0 are at the first azimuth."""
+    """(rows * columns, 3): a point at the centre of every pixel.
+
+    Those of column 0 are at the first azimuth.
+    """
     row, column = np.divmod(np.arange(int(view[0] * view[1])), int(view[1]))
     elevation, azimuth = (view[2] - row) / view[3], (column - view[4]) / view[5]
     flat = np.cos(elevation)
@@ -352,7 +385,9 @@ def test_the_image_of_two_clouds_is_the_minimum_of_both(a: Any, b: Any, seed: in
 @given(clouds(50, 1), clouds(50, 1), clouds(50, 1))
 def test_the_distance_to_two_sets_is_the_minimum(query: Any, a: Any, b: Any) -> None:
     both = nearest_distance(query, np.concatenate([a, b]))
-    np.testing.assert_array_equal(both, np.minimum(nearest_distance(query, a), nearest_distance(query, b)))
+    np.testing.assert_array_equal(
+        both, np.minimum(nearest_distance(query, a), nearest_distance(query, b))
+    )
 
 
 @some
@@ -373,7 +408,9 @@ def test_points_of_the_set_have_distance_zero(points: Any, others: Any) -> None:
 
 @some
 @given(clouds(50, 1), clouds(50, 1), st.lists(st.floats(0, 200, width=32), min_size=2, max_size=4))
-def test_points_within_a_limit_are_within_a_larger_limit(query: Any, reference: Any, limits: list[float]) -> None:
+def test_points_within_a_limit_are_within_a_larger_limit(
+    query: Any, reference: Any, limits: list[float]
+) -> None:
     tree, distance = Nearest(reference), nearest_distance(query, reference)
     before = np.zeros(len(query), bool)
     for limit in sorted(limits):

@@ -24,7 +24,11 @@ class Golden:
         self.scans = [Scan(k, cloud.xyz, cloud.T_world_sensor) for k, cloud in enumerate(clouds)]
         self.truth = read_pcd(folder / "gt_cloud.pcd")["intensity"]
         packed = np.load(shared / f"golden/labels/{name}.npz")
-        self.removed = {k: np.unpackbits(packed[k])[: int(packed["n_points"])] > 0 for k in packed if k != "n_points"}
+        self.removed = {
+            k: np.unpackbits(packed[k])[: int(packed["n_points"])] > 0
+            for k in packed
+            if k != "n_points"
+        }
 
     @cached_property
     def points(self):
@@ -34,7 +38,11 @@ class Golden:
         """A method after observing all scans."""
         running = method(params)
         running.begin(
-            Context(Extent.of(*self.scans), self.sensor, raw_map=self.points if method.info.needs_map else None)
+            Context(
+                Extent.of(*self.scans),
+                self.sensor,
+                raw_map=self.points if method.info.needs_map else None,
+            )
         )
         for scan in self.scans:
             running.observe(scan)
@@ -42,7 +50,9 @@ class Golden:
 
     def run(self, method, preset=None, **values):
         """The labels of all points."""
-        running = self.observed(method, resolve(method, preset).params if preset else method.Params(**values))
+        running = self.observed(
+            method, resolve(method, preset).params if preset else method.Params(**values)
+        )
         return np.concatenate([running.label(scan).dynamic for scan in self.scans])
 
     def scores(self, removed):

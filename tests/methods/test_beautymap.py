@@ -37,7 +37,9 @@ def yard(frames: int = 5, seed: int = 0) -> list[Scan]:
         pit = random.uniform((3, 3, -3), (4, 4, -2), (20, 3))
         wall = random.uniform((9, -12, 0), (9.4, 12, 4), (1200, 3))
         branches = random.uniform((-9, -9, 3), (-6, 9, 4.5), (200, 3))
-        thing = random.uniform((0, 5, 0.1), (2.2, 6.8, 1.5), (300, 3)) + np.array([2.5 * index - 6, 0, 0])
+        thing = random.uniform((0, 5, 0.1), (2.2, 6.8, 1.5), (300, 3)) + np.array(
+            [2.5 * index - 6, 0, 0]
+        )
         stray = random.uniform((-11, -11, 0.2), (11, 11, 3), (40, 3))
         points = np.concatenate([floor, pit, wall, branches, thing, stray])
         scans.append(scan(3 * index + 1, points, (0.6 * index, 0.3 * index, 1.7)))
@@ -45,7 +47,10 @@ def yard(frames: int = 5, seed: int = 0) -> list[Scan]:
 
 
 def jumble(frames: int = 5, seed: int = 0) -> list[Scan]:
-    """Posts on ground with a hole; each scan sees other posts, and the sensor of some scans is above the hole."""
+    """Posts on ground with a hole.
+
+    Each scan sees other posts, and the sensor of some scans is above the hole.
+    """
     random = np.random.default_rng(seed)
     feet = random.uniform((-12, -12), (12, 12), (60, 2))
     tops = random.uniform(0.5, 3, 60)
@@ -129,17 +134,23 @@ def test_a_slice_without_enough_ground_is_kept():
 
 
 def test_splits_of_several_scans_add_up():
-    """One scan removes slice 3 and splits 2, the other removes slice 1 and splits 0; the rest is hidden from them."""
+    """One scan removes slice 3 and splits 2, the other removes slice 1 and splits 0.
+
+    The rest is hidden from them.
+    """
     low, high = np.repeat(0.02, 20), np.repeat(1.02, 20)
     sky = np.concatenate([floor(), post(6.0, at=(-6.0, 0.5))])
     there = scan(0, np.concatenate([sky, post(*low, *high, 0.25, 0.45, 0.6, 1.25, 1.6)]))
     hidden = ((0.3, 0.6, 1.1), (0.3, 1.1, 1.6))
-    others = [scan(k + 1, np.concatenate([sky, post(*heights, at=(5.0, -0.1))])) for k, heights in enumerate(hidden)]
+    others = [
+        scan(k + 1, np.concatenate([sky, post(*heights, at=(5.0, -0.1))]))
+        for k, heights in enumerate(hidden)
+    ]
     for order in (others, others[::-1]):
         method = run([there, *order])
-        assert [name in ("not_in_scan", "above_fine_ground") for name in names(method, there)[-45:]] == (
-            [False] * 40 + [True] * 5
-        )
+        assert [
+            name in ("not_in_scan", "above_fine_ground") for name in names(method, there)[-45:]
+        ] == ([False] * 40 + [True] * 5)
 
 
 @pytest.mark.plain
@@ -147,12 +158,16 @@ def test_lines_of_sight_work_without_map_points_below_the_sensor():
     hole = floor()[(np.abs(floor()[:, :2]) > 1.5).any(1)]
     there = scan(0, np.concatenate([hole, post(0.6)]))
     for height, reason in ((0.6, "ray_blocked"), (1.6, "not_in_scan")):
-        gone = scan(1, np.concatenate([hole, post(0.3, height, at=(5.0, -0.1)), post(6.0, at=(-6.0, 0.5))]))
+        gone = scan(
+            1, np.concatenate([hole, post(0.3, height, at=(5.0, -0.1)), post(6.0, at=(-6.0, 0.5))])
+        )
         assert names(run([there, gone]), there)[-1] == reason
 
 
 def test_a_line_to_a_near_target_ends_one_column_behind_it():
-    """For a target three columns from the sensor, a line is first tested, and ends, one column behind the target."""
+    """For a target three columns from the sensor, a line is first tested, and ends, one column
+    behind the target.
+    """
     there = scan(0, np.concatenate([floor(), post(1.1, at=(3.0, 0.0))]))
     for x, reason in ((4.0, "ray_blocked"), (5.0, "not_in_scan")):
         behind = post(0.6, at=(x, 0.0))
@@ -214,7 +229,9 @@ def test_the_lowest_slice_is_ground():
         [],
         [(1.0, 2.0, 3.0)],
         [(0.0, 0.0, 1.7)],
-        pytest.param([(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0), (1.0, 1.0, np.nan)], marks=compiled_only),
+        pytest.param(
+            [(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0), (1.0, 1.0, np.nan)], marks=compiled_only
+        ),
         [(1e30, 0.0, 0.0), (4e4, 0.0, 0.0), (1.0, 1.0, 1.0), (5.0, 5.0, 1e30)],
     ],
     ids=["empty", "one", "at the sensor", "not finite", "beyond reach"],
@@ -275,7 +292,10 @@ def test_a_shift_of_the_world_and_a_rotation_of_the_sensor_change_few_labels():
     turned = turn(50.0, 0.0, 0.0, 0.0)
     shifted = [Scan(s.index, moved(s, T).points, T @ s.T_world_sensor @ turned) for s in scans]
     before, after = run(scans), run(shifted)
-    changed = [before.label(s).dynamic != after.label(t).dynamic for s, t in zip(scans, shifted, strict=True)]
+    changed = [
+        before.label(s).dynamic != after.label(t).dynamic
+        for s, t in zip(scans, shifted, strict=True)
+    ]
     assert np.concatenate(changed).mean() < 1e-3
 
 
@@ -287,7 +307,9 @@ def test_begin_discards_an_earlier_sequence():
     assert not any(method.label(s).dynamic.any() for s in scans)
     for s in scans:
         method.observe(s)
-    np.testing.assert_array_equal(np.concatenate(first), np.concatenate([method.label(s).dynamic for s in scans]))
+    np.testing.assert_array_equal(
+        np.concatenate(first), np.concatenate([method.label(s).dynamic for s in scans])
+    )
 
 
 def test_states_are_those_declared_and_partition_the_slices():
@@ -299,11 +321,17 @@ def test_states_are_those_declared_and_partition_the_slices():
     }
     assert all(len(values) == len(scans) for values in probe.values.values())
     voxels = [name for name, kind in kinds.items() if kind.__name__ == "Voxels"]
-    cubes = {name: {tuple(k) for v in probe.values[name] for k in v.keys.tolist()} for name in voxels}
+    cubes = {
+        name: {tuple(k) for v in probe.values[name] for k in v.keys.tolist()} for name in voxels
+    }
     assert cubes["removed"]
     assert all(cubes[name] <= cubes["map_slices"] for name in voxels)
     for frame in range(len(scans)):  # each slice is seen, kept by one step, or removed
-        parts = [{tuple(k) for k in probe.values[name][frame].keys.tolist()} for name in voxels if name != "map_slices"]
+        parts = [
+            {tuple(k) for k in probe.values[name][frame].keys.tolist()}
+            for name in voxels
+            if name != "map_slices"
+        ]
         whole = {tuple(k) for k in probe.values["map_slices"][frame].keys.tolist()}
         assert sum(len(p) for p in parts) == len(whole) == len(set.union(*parts))
 
@@ -316,7 +344,9 @@ def test_labels_do_not_depend_on_the_memory_layout_of_the_map():
     method.begin(Context(EXTENT, raw_map=raw))
     for s in scans:
         method.observe(s)
-    np.testing.assert_array_equal(method.label(scans[0]).dynamic, run(scans).label(scans[0]).dynamic)
+    np.testing.assert_array_equal(
+        method.label(scans[0]).dynamic, run(scans).label(scans[0]).dynamic
+    )
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -336,7 +366,10 @@ def test_labels_do_not_depend_on_the_parts_in_which_a_map_is_encoded(threads, mo
 
 def test_live_labels_are_those_of_a_run_over_the_scans_that_are_not_forgotten():
     """The lowest x and y of the map, from which columns are counted, differ from scan to scan."""
-    scans = [scan(n, np.concatenate([s.points, [[-40 - 0.37 * n, -30 + 0.21 * n, 0]]])) for n, s in enumerate(yard(7))]
+    scans = [
+        scan(n, np.concatenate([s.points, [[-40 - 0.37 * n, -30 + 0.21 * n, 0]]]))
+        for n, s in enumerate(yard(7))
+    ]
     live, removed = BeautyMap(BeautyMapParams()), 0
     live.begin(Context(Window(50.0)))
     for n, s in enumerate(scans):
@@ -350,7 +383,9 @@ def test_live_labels_are_those_of_a_run_over_the_scans_that_are_not_forgotten():
     assert removed > 50
 
 
-@pytest.mark.parametrize("values", [{"dis_range": 0.0}, {"xy_resolution": float("nan")}, {"h_res": -1.0}])
+@pytest.mark.parametrize(
+    "values", [{"dis_range": 0.0}, {"xy_resolution": float("nan")}, {"h_res": -1.0}]
+)
 def test_invalid_parameters_are_rejected(values):
     with pytest.raises(ValueError, match=next(iter(values))):
         BeautyMapParams(**values)

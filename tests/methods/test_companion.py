@@ -33,10 +33,16 @@ def followed() -> tuple[InMemory, int]:
 
 
 def with_car(ahead: float, left: float) -> tuple[InMemory, int]:
-    """A street in which a car keeps its place relative to the sensor, metres, and the car's instance number."""
+    """A street in which a car keeps its place relative to the sensor, metres, and the car's
+    instance number.
+    """
     preset = PRESETS["street_vlp16"]
     scene = build(preset, FRAMES)
-    place, path, body = scene.sensor.schedule, scene.sensor.path, objects.car(np.random.default_rng(3))
+    place, path, body = (
+        scene.sensor.schedule,
+        scene.sensor.path,
+        objects.car(np.random.default_rng(3)),
+    )
     scene.move(ObjectClass.MOVING_CAR, path.shifted(left), lambda time: place(time) + ahead, body)
     return recorded(scene, preset)
 
@@ -46,7 +52,9 @@ def recorded(scene: SimulatedScene, preset: Preset) -> tuple[InMemory, int]:
     recorder, scans = SceneRecorder(scene, preset, FRAMES), []
     for sweep in map(recorder.sweep, range(FRAMES)):
         truth = {"labels": sweep.labels, "instances": sweep.instances}
-        scans.append(Scan(sweep.index, sweep.points, sweep.T_world_sensor, round(sweep.time * 1e9), **truth))
+        scans.append(
+            Scan(sweep.index, sweep.points, sweep.T_world_sensor, round(sweep.time * 1e9), **truth)
+        )
     return InMemory(scans, "followed", load_sensor(preset.sensor)), len(scene.movers)
 
 
@@ -63,9 +71,14 @@ def test_an_operator_who_follows_is_removed(method: str, followed: tuple[InMemor
 
 @pytest.mark.parametrize(
     ("ahead", "left"),
-    [pytest.param(9.0, 0.0, id="followed", marks=pytest.mark.slow), pytest.param(1.0, 3.0, id="beside")],
+    [
+        pytest.param(9.0, 0.0, id="followed", marks=pytest.mark.slow),
+        pytest.param(1.0, 3.0, id="beside"),
+    ],
 )
-def test_a_car_that_comes_along_is_no_carrier(ahead: float, left: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_car_that_comes_along_is_no_carrier(
+    ahead: float, left: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drive, car = with_car(ahead, left)
     assert estimate_carrier(drive) == ()
     result = dv.run("seethrough", drive)

@@ -22,7 +22,9 @@ def scan(index: int, points, origins=(0.0, 0.0, 0.0)) -> Scan:
     origins = np.atleast_2d(np.asarray(origins, float))
     T_world_sensor = np.eye(4)
     T_world_sensor[:3, 3] = origins[0]
-    return Scan(index, np.asarray(points, np.float32).reshape(-1, 3), T_world_sensor, origins=origins)
+    return Scan(
+        index, np.asarray(points, np.float32).reshape(-1, 3), T_world_sensor, origins=origins
+    )
 
 
 def box(centre, half, count: int, random) -> np.ndarray:
@@ -34,14 +36,18 @@ def box(centre, half, count: int, random) -> np.ndarray:
 
 
 def room(seed: int, resolution: float = 0.1, rays: int = 2600) -> list[Scan]:
-    """A small room around a moving sensor, dense enough to be void, and a box that appears in one scan."""
+    """A small room around a moving sensor, dense enough to be void, and a box that appears in one
+    scan.
+    """
     random, unit, scans = np.random.default_rng(seed), resolution / 0.1, []
     for index in range(3):
         walls = box((0, 0, 0), np.array([0.9, 0.7, 0.5]) * unit, rays, random)
         thing = box((0.45, -0.3, 0), np.array([0.08, 0.08, 0.1]) * unit, 40, random) * (index == 1)
         strays = random.uniform(-1.2, 1.2, (10, 3)) * unit
         # The first origin is on a face of a voxel, but not on an edge, where rounding decides.
-        origin = random.uniform(-0.2, 0.2, 3) * unit if index else np.array([0.0, 0.037, 0.052]) * unit
+        origin = (
+            random.uniform(-0.2, 0.2, 3) * unit if index else np.array([0.0, 0.037, 0.052]) * unit
+        )
         scans.append(scan(index, np.concatenate([walls, thing * unit, strays]), origin))
     return scans
 
@@ -87,7 +93,10 @@ def test_voxels_and_labels_match_the_reference(values):
         reference.observe(s)
         np.testing.assert_array_equal(method.label(s).dynamic, reference.label(s))  # online
     keys = [tuple(k) for k in method._grid.keys(np.arange(len(method._grid) * VOXELS)).tolist()]
-    for bits, voxels in ((method._seen_free, reference.seen_free), (method._crossed, reference.crossed)):
+    for bits, voxels in (
+        (method._seen_free, reference.seen_free),
+        (method._crossed, reference.crossed),
+    ):
         marked = np.unpackbits(bits[:-1].view(np.uint8), bitorder="little")
         np.testing.assert_array_equal(marked, [k in voxels for k in keys])
     resolution = method.params.resolution
@@ -106,11 +115,16 @@ def test_each_point_may_have_its_own_origin():
     random = np.random.default_rng(3)
     points = [box((0, 0, 0), (0.7, 0.6, 0.5), 1500, random) for _ in range(2)]
     origins = np.repeat([[0.1, 0, 0], [-0.1, 0.2, 0.1]], 1500, axis=0)
-    scans = [scan(0, np.concatenate(points), origins), scan(1, random.uniform(-0.6, 0.6, (50, 3)), (3.0, 0, 0))]
+    scans = [
+        scan(0, np.concatenate(points), origins),
+        scan(1, random.uniform(-0.6, 0.6, (50, 3)), (3.0, 0, 0)),
+    ]
     method, reference = run(scans), Reference()
     for s in scans:
         reference.observe(s)
-    np.testing.assert_array_equal(labels(method, scans), np.concatenate([reference.label(s) for s in scans]))
+    np.testing.assert_array_equal(
+        labels(method, scans), np.concatenate([reference.label(s) for s in scans])
+    )
     assert labels(method, scans).any()
 
 
@@ -118,7 +132,11 @@ def test_void_voxels_stay_void_in_any_order_of_scans():
     scans = room(2)
     forward, backward = run(scans), run(scans[::-1])
     np.testing.assert_array_equal(labels(forward, scans), labels(backward, scans))
-    online, box_first = begin(scans), [scans[1], scans[0], scans[2]]  # before any scan sees through its voxels
+    # before any scan sees through its voxels
+    online, box_first = (
+        begin(scans),
+        [scans[1], scans[0], scans[2]],
+    )
     answers = []
     for s in box_first:
         online.observe(s)
@@ -129,7 +147,9 @@ def test_void_voxels_stay_void_in_any_order_of_scans():
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize("values", [{}, {"min_range": 0.0}, {"min_range": 0.0, "resolution": 1.0}], ids=str)
+@pytest.mark.parametrize(
+    "values", [{}, {"min_range": 0.0}, {"min_range": 0.0, "resolution": 1.0}], ids=str
+)
 @pytest.mark.parametrize(
     "points",
     [
@@ -142,12 +162,16 @@ def test_void_voxels_stay_void_in_any_order_of_scans():
     ],
     ids=["empty", "one", "at the sensor", "on the sensor's voxel", "not finite", "beyond reach"],
 )
-@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (0.05, 0.05, 0.05), (0.5, 0.5, 0.5), (1e5, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "origin", [(0.0, 0.0, 0.0), (0.05, 0.05, 0.05), (0.5, 0.5, 0.5), (1e5, 0.0, 0.0)]
+)
 def test_odd_scans_are_kept(points, origin, values):
     points = np.array(points, np.float32).reshape(-1, 3)
     s = scan(0, points, origin)
     # The extent of the valid points, as the runner computes it.
-    extent = Extent.of(scan(0, points[np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)], origin))
+    extent = Extent.of(
+        scan(0, points[np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)], origin)
+    )
     ran = run([s], extent=extent, **values)
     assert not ran.label(s).dynamic.any()
     judged = (np.abs(points) < 3276.8 * values.get("resolution", 0.1) / 0.1).all(1)

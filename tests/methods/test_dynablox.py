@@ -53,11 +53,14 @@ NAME = [reason.name for reason in REASONS]
 
 
 def busy_room(frames: int = 11, rays: int = 2500, seed: int = 0) -> list[Scan]:
-    """Rays from a moving, turning and pitching sensor to the walls of a room and to boxes that appear and disappear."""
+    """Rays from a moving, turning and pitching sensor to the walls of a room and to boxes that
+    appear and disappear.
+    """
     random = np.random.default_rng(seed)
     low, high = np.array([-4.0, -4.0, 0.0]), np.array([5.0, 4.0, 4.0])
     boxes = [
-        (first, first + stays, random.uniform((-2, -2, 1), (3, 2, 3))) for first, stays in ((5, 1), (6, 2), (7, 9))
+        (first, first + stays, random.uniform((-2, -2, 1), (3, 2, 3)))
+        for first, stays in ((5, 1), (6, 2), (7, 9))
     ]
     scans = []
     for frame in range(frames):
@@ -65,9 +68,13 @@ def busy_room(frames: int = 11, rays: int = 2500, seed: int = 0) -> list[Scan]:
         origin = T_world_sensor[:3, 3]
         direction = random.normal(size=(rays, 3))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        reach = np.where(direction > 0, (high - origin) / direction, (low - origin) / direction).min(1)
+        reach = np.where(
+            direction > 0, (high - origin) / direction, (low - origin) / direction
+        ).min(1)
         for first, last, centre in boxes:
-            near, far = np.sort([(centre + side - origin) / direction for side in (-0.5, 0.5)], axis=0)
+            near, far = np.sort(
+                [(centre + side - origin) / direction for side in (-0.5, 0.5)], axis=0
+            )
             enter = near.max(1)
             met = (first <= frame < last) & (enter > 0) & (enter < far.min(1))
             reach = np.where(met, np.minimum(reach, enter), reach)
@@ -80,7 +87,10 @@ def rotation(yaw: float, pitch: float) -> np.ndarray:
     turn = np.eye(4)
     turn[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
     tilt = np.eye(4)
-    tilt[::2, ::2][:2, :2] = [[math.cos(pitch), math.sin(pitch)], [-math.sin(pitch), math.cos(pitch)]]
+    tilt[::2, ::2][:2, :2] = [
+        [math.cos(pitch), math.sin(pitch)],
+        [-math.sin(pitch), math.cos(pitch)],
+    ]
     return turn @ tilt
 
 
@@ -117,11 +127,24 @@ def waiting(frames: int, arrives: int) -> list[Scan]:
     [
         ({}, 0),
         ({"min_range": 1.5, "max_range": 5.0}, 1),
-        pytest.param({"resolution": 0.45, "max_weight": 2, "revoke_after": 3}, 2, marks=pytest.mark.slow),
         pytest.param(
-            {"resolution": 0.33, "burn_in": 1, "cluster_distance": 1.0, "min_cluster": 12}, 3, marks=pytest.mark.slow
+            {"resolution": 0.45, "max_weight": 2, "revoke_after": 3}, 2, marks=pytest.mark.slow
         ),
-        ({"resolution": 0.5, "truncation": 1.2, "occupied_distance": 0.6, "temporal_buffer": 2, "max_cluster": 30}, 4),
+        pytest.param(
+            {"resolution": 0.33, "burn_in": 1, "cluster_distance": 1.0, "min_cluster": 12},
+            3,
+            marks=pytest.mark.slow,
+        ),
+        (
+            {
+                "resolution": 0.5,
+                "truncation": 1.2,
+                "occupied_distance": 0.6,
+                "temporal_buffer": 2,
+                "max_cluster": 30,
+            },
+            4,
+        ),
         ({"field_of_view": 60.0, "image_rows": 13, "burn_in": 0, "temporal_buffer": 0}, 5),
     ],
 )
@@ -148,12 +171,17 @@ def test_reasons_and_voxels_match_the_reference(changes, seed):
     keys = method._map.grid.keys(voxels) - reference.low
     inside = ((keys >= 1) & (keys < reference.shape - 1)).all(1)
     at = tuple(keys[inside].T)
-    for ours, theirs in ((method._map.free, reference.free), (method._map.revoked, reference.revoked)):
+    for ours, theirs in (
+        (method._map.free, reference.free),
+        (method._map.revoked, reference.revoked),
+    ):
         np.testing.assert_array_equal(read(ours, voxels)[inside], theirs[at])
     first = method._map._first[voxels // 512] + voxels % 512
     np.testing.assert_array_equal(method._map._weight[first][inside], reference.weight[at])
     differs = np.abs(method._map._distance[first][inside] - reference.distance[at]) > 2e-5
-    assert differs.sum() <= 3  # voxels on the border of a pixel, which float32 puts on the other side
+    assert (
+        differs.sum() <= 3
+    )  # voxels on the border of a pixel, which float32 puts on the other side
     np.testing.assert_array_equal(method._map._counts[first][inside] >= 2, reference.count[at] >= 2)
 
 
@@ -163,7 +191,10 @@ def room_scans():
 
 
 def arriving(method, scans, arrives):
-    """For each frame from the arrival on: the share of the object's points that is removed, and their reasons."""
+    """For each frame from the arrival on.
+
+    The share of the object's points that is removed, and their reasons.
+    """
     of_object = np.hypot(*(scans[arrives].points[:, :2].T - np.float32(0.1))) < 4
     given = [method.label(scan) for scan in scans[arrives:]]
     removed = [each.dynamic[of_object].mean() for each in given]
@@ -202,7 +233,9 @@ def test_every_reason_occurs():
     scans, found = busy_room(), set()
     for changes in ({}, {"max_range": 5.0, "max_cluster": 30}):
         found |= set(reasons(run(scans, dataclasses.replace(COARSE, **changes)), scans).tolist())
-    assert found | {REVOKED, OUT_OF_REACH} == set(range(len(REASONS)))  # these two have tests of their own
+    assert found | {REVOKED, OUT_OF_REACH} == set(
+        range(len(REASONS))
+    )  # these two have tests of their own
 
 
 @pytest.mark.plain
@@ -223,13 +256,17 @@ def test_odd_scans_are_kept(points):
     scans = [Scan(k, points, np.eye(4)) for k in range(4)]
     valid = np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)
     method = run(
-        scans, DynabloxParams(burn_in=1, temporal_buffer=1), extent=Extent.of(Scan(0, points[valid], np.eye(4)))
+        scans,
+        DynabloxParams(burn_in=1, temporal_buffer=1),
+        extent=Extent.of(Scan(0, points[valid], np.eye(4))),
     )
     given = [method.label(scan) for scan in scans]
     assert not any(each.dynamic.any() for each in given)
     r = np.linalg.norm(points.astype(float), axis=1)
     within = (r >= 0.3) & np.isfinite(r)
-    expected = np.where(within, np.where((np.abs(points) < 3276.8).all(1), NEVER_FREE, OUT_OF_REACH), OUT_OF_RANGE)
+    expected = np.where(
+        within, np.where((np.abs(points) < 3276.8).all(1), NEVER_FREE, OUT_OF_REACH), OUT_OF_RANGE
+    )
     np.testing.assert_array_equal(given[-1].reasons, expected)
 
 
@@ -243,7 +280,11 @@ def test_an_empty_scan_does_not_discard_the_map(room_scans):
 
 def test_points_outside_the_extent_are_kept_unjudged():
     scan = Scan(0, np.array([(1.0, 0, 0), (50.0, 0, 0), (1.7, 0, 0)], np.float32), np.eye(4))
-    method = run([scan], DynabloxParams(), extent=Extent.of(dataclasses.replace(scan, points=scan.points[:1])))
+    method = run(
+        [scan],
+        DynabloxParams(),
+        extent=Extent.of(dataclasses.replace(scan, points=scan.points[:1])),
+    )
     assert method.label(scan).reasons.tolist() == [NEVER_FREE, OUT_OF_REACH, OUT_OF_REACH]
 
 
@@ -261,7 +302,9 @@ def test_labels_do_not_depend_on_threads_or_the_probe(room_scans):
 
 
 def test_labels_do_not_depend_on_the_extent(room_scans):
-    more = Scan(0, np.random.default_rng(0).uniform(-30, 30, (3000, 3)).astype(np.float32), np.eye(4))
+    more = Scan(
+        0, np.random.default_rng(0).uniform(-30, 30, (3000, 3)).astype(np.float32), np.eye(4)
+    )
     narrow, wide = run(room_scans), run(room_scans, extent=Extent.of(*room_scans, more))
     np.testing.assert_array_equal(reasons(narrow, room_scans), reasons(wide, room_scans))
 
@@ -282,26 +325,36 @@ def test_states_are_those_declared_and_match_the_map(room_scans):
         state.name: {state.kind} for state in method.info.emits
     }
     assert all(len(values) == len(room_scans) for values in probe.values.values())
-    gained, lost = (sum(len(v.keys) for v in probe.values[name]) for name in ("became_free", "revoked"))
+    gained, lost = (
+        sum(len(v.keys) for v in probe.values[name]) for name in ("became_free", "revoked")
+    )
     free = np.bitwise_count(method._map.free).sum()
     assert gained - lost == free == probe.values["free_voxels"][-1].value > 0
-    for scan, intruded, clusters in zip(room_scans, probe.values["intruded"], probe.values["clusters"], strict=True):
+    for scan, intruded, clusters in zip(
+        room_scans, probe.values["intruded"], probe.values["clusters"], strict=True
+    ):
         codes = method.label(scan).reasons
         flagged = (codes >= FREE) & (codes <= FREE_LARGE)
         assert intruded.values.sum() == flagged.sum() == np.isin(clusters.classes, (1, 3, 4)).sum()
-        keys = {tuple(k) for k in np.floor(scan.points[flagged] / np.float32(0.4)).astype(int).tolist()}
+        keys = {
+            tuple(k) for k in np.floor(scan.points[flagged] / np.float32(0.4)).astype(int).tolist()
+        }
         assert keys == {tuple(k) for k in intruded.keys.tolist()}
 
 
 def test_four_bits_per_point_are_stored(room_scans):
     method = run(room_scans)
-    assert sum(kept.nbytes for kept in method._reasons.values()) == sum((len(s) + 1) // 2 for s in room_scans)
+    assert sum(kept.nbytes for kept in method._reasons.values()) == sum(
+        (len(s) + 1) // 2 for s in room_scans
+    )
 
 
 def test_the_view_is_that_of_the_sensor_by_default():
     vlp16 = load_sensor("vlp16")
     assert view_of(DynabloxParams(), vlp16) == SensorView(16, 2048, 15.0, -15.0)
-    assert view_of(DynabloxParams(image_rows=64, field_of_view=33.0), Sensor()) == SensorView(64, 2048, 16.5, -16.5)
+    assert view_of(DynabloxParams(image_rows=64, field_of_view=33.0), Sensor()) == SensorView(
+        64, 2048, 16.5, -16.5
+    )
     with pytest.raises(UsageError, match="image_rows"):
         view_of(DynabloxParams(), Sensor())
     assert view_of(DynabloxParams(), load_sensor("mid360")) == SensorView(

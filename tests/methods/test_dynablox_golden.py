@@ -1,7 +1,7 @@
 """Scores on two golden sequences, recorded to detect changes.
 
-There are no labels of the public Dynablox. On these two sequences the public OctoMap scores 86.33 / 42.44 and
-93.72 / 88.81 (SA / DA), the public DUFOMap 99.84 / 48.79 on the second.
+There are no labels of the public Dynablox. On these two sequences the public OctoMap scores 86.33 /
+42.44 and 93.72 / 88.81 (SA / DA), the public DUFOMap 99.84 / 48.79 on the second.
 """
 
 from __future__ import annotations

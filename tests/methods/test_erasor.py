@@ -71,12 +71,27 @@ VARIANTS = [
     {},
     {"map_voxel": 0.25, "query_voxel": 0.4, "removal_interval": 1},
     {"scan_ratio": 0.5, "min_difference": 0.3, "min_points": 20},
-    {"rings": 3, "sectors": 7, "max_range": 6.0, "ground_distance": 0.05, "ground_iterations": 1, "ground_skip": 0},
-    {"min_height": -0.2, "max_height": 1.0, "ground_lowest": 3, "ground_seed": 0.1, "ground_skip": 40},
+    {
+        "rings": 3,
+        "sectors": 7,
+        "max_range": 6.0,
+        "ground_distance": 0.05,
+        "ground_iterations": 1,
+        "ground_skip": 0,
+    },
+    {
+        "min_height": -0.2,
+        "max_height": 1.0,
+        "ground_lowest": 3,
+        "ground_seed": 0.1,
+        "ground_skip": 40,
+    },
 ]
 
 
-@pytest.mark.parametrize("variant", [0, 1, 2, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 4))])
+@pytest.mark.parametrize(
+    "variant", [0, 1, 2, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 4))]
+)
 def test_reasons_match_the_reference(variant):
     scans, params = street(seed=variant), dataclasses.replace(SMALL, **VARIANTS[variant])
     method = run(scans, params)
@@ -85,7 +100,9 @@ def test_reasons_match_the_reference(variant):
         reference.observe(s)
     expected = [reason for s in scans for reason in reference.names(s)]
     assert [reason for s in scans for reason in names(method, s)] == expected
-    np.testing.assert_array_equal(labels(method, scans), [reason == "bin_ratio" for reason in expected])
+    np.testing.assert_array_equal(
+        labels(method, scans), [reason == "bin_ratio" for reason in expected]
+    )
     assert {"bin_ratio", "ground_of_flagged_bin", "map_not_higher"} <= set(expected)
 
 
@@ -118,7 +135,13 @@ def test_removal_is_final_and_online_labels_only_grow():
     scans = street()
     method = run(scans)
     final = [method.label(s).dynamic for s in scans]
-    method.begin(Context(Extent.of(*scans), Sensor(height=HEIGHT), raw_map=np.concatenate([s.points for s in scans])))
+    method.begin(
+        Context(
+            Extent.of(*scans),
+            Sensor(height=HEIGHT),
+            raw_map=np.concatenate([s.points for s in scans]),
+        )
+    )
     method.observe(scans[0])
     before = method.label(scans[0]).dynamic
     assert not before.any()
@@ -170,17 +193,22 @@ def test_states_are_those_declared_and_are_consistent():
     before, _ = thinned(np.concatenate([s.points for s in scans]), 0.1)
     removed = np.concatenate([value.xyz for value in probe.values["removed"]])
     assert len(before) == len(method.cleaned_map()) + len(removed)
-    assert {tuple(p) for p in before} == {tuple(p) for p in method.cleaned_map()} | {tuple(p) for p in removed}
+    assert {tuple(p) for p in before} == {tuple(p) for p in method.cleaned_map()} | {
+        tuple(p) for p in removed
+    }
     for k in range(3):
         high, low, ratio, status = (
-            probe.values[name][k].values for name in ("map_height", "scan_height", "ratio", "status")
+            probe.values[name][k].values
+            for name in ("map_height", "scan_height", "ratio", "status")
         )
         assert high.shape == (5, 24)
         flagged = status == 6
         assert ((ratio < 0.2) & (high > 0.5) & (low < high))[flagged].all()
         np.testing.assert_array_equal(np.isnan(status), np.isnan(high))
         foot = scans[2 * k + 1].position
-        points = np.concatenate([probe.values[name][k].xyz for name in ("removed", "ground")]) - foot
+        points = (
+            np.concatenate([probe.values[name][k].xyz for name in ("removed", "ground")]) - foot
+        )
         ring = np.hypot(points[:, 0], points[:, 1]) // (12 / 5)
         sector = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360 // 15
         assert set(zip(ring, sector, strict=True)) == set(zip(*np.nonzero(flagged), strict=True))
@@ -233,14 +261,22 @@ def test_bins_with_few_scan_points_are_not_judged():
 
 def test_kerbs_and_bins_of_equal_height_are_kept():
     floor = np.array([(x, y, 0.02) for x in np.arange(5.05, 7, 0.2) for y in (0.25, 0.45, 0.65)])
-    for top, seen, reason in ((0.4, 0.02, "low_bin"), (2.5, 0.02, "bin_ratio"), (2.5, 0.9, "map_not_higher")):
+    for top, seen, reason in (
+        (0.4, 0.02, "low_bin"),
+        (2.5, 0.02, "bin_ratio"),
+        (2.5, 0.9, "map_not_higher"),
+    ):
         column = np.array([(6.0, 0.5, z) for z in np.arange(0.15, top, 0.2)])
-        scans = [scan(0, np.concatenate([floor, column])), scan(1, np.concatenate([floor, [(6.0, 0.5, seen)]]))]
+        scans = [
+            scan(0, np.concatenate([floor, column])),
+            scan(1, np.concatenate([floor, [(6.0, 0.5, seen)]])),
+        ]
         assert names(run(scans), scans[0])[-1] == reason
 
 
 @pytest.mark.parametrize(
-    ("position", "reason"), [((9.0, 9.0, 1.0), "beyond_range"), ((5.0, 0.5, 3.5), "outside_height_band")]
+    ("position", "reason"),
+    [((9.0, 9.0, 1.0), "beyond_range"), ((5.0, 0.5, 3.5), "outside_height_band")],
 )
 def test_points_outside_the_bins_have_their_own_reasons(position, reason):
     scans = [scan(0, [position]), scan(1, [(1.0, 1.0, 0.0)])]
@@ -258,7 +294,13 @@ def test_a_sensor_without_height_is_an_error():
 def test_begin_discards_an_earlier_sequence():
     first, second = street(seed=1), street(seed=2)
     method = run(first)
-    method.begin(Context(Extent.of(*second), Sensor(height=HEIGHT), raw_map=np.concatenate([s.points for s in second])))
+    method.begin(
+        Context(
+            Extent.of(*second),
+            Sensor(height=HEIGHT),
+            raw_map=np.concatenate([s.points for s in second]),
+        )
+    )
     for s in second:
         method.observe(s)
     np.testing.assert_array_equal(labels(method, second), labels(run(second), second))
@@ -293,7 +335,10 @@ clouds = st.lists(st.tuples(coordinate, coordinate, coordinate), max_size=40).ma
 
 @given(clouds, st.tuples(coordinate, coordinate), st.floats(0.1, 200))
 def test_tiles_find_every_point_within_reach(points, centre, reach):
-    (laid, rows, where), more = laid_out(points, np.arange(-1, len(points), dtype=np.int32)), points[:3] + np.float32(1)
+    (laid, rows, where), more = (
+        laid_out(points, np.arange(-1, len(points), dtype=np.int32)),
+        points[:3] + np.float32(1),
+    )
     assert where[0] == -1
     np.testing.assert_array_equal(rows[where[1:]], points)
     laid.append(more)

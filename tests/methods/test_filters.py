@@ -49,7 +49,12 @@ def test_the_larger_of_two_floors_wins():
 
 @pytest.mark.parametrize(
     "points",
-    [np.zeros((0, 3)), tilted(0.0, points=49), np.zeros((80, 3)), np.outer(np.arange(80), (1, 2, 0))],
+    [
+        np.zeros((0, 3)),
+        tilted(0.0, points=49),
+        np.zeros((80, 3)),
+        np.outer(np.arange(80), (1, 2, 0)),
+    ],
     ids=["none", "too few", "all the same", "on a line"],
 )
 def test_too_few_or_degenerate_points_have_no_plane(points):
@@ -68,7 +73,9 @@ def test_results_depend_on_the_seed_only():
 
 @pytest.mark.plain
 def test_outliers_match_the_formula():
-    points = np.concatenate([random().normal(0, 1, (500, 3)), random(1).uniform(-20, 20, (30, 3))]).astype(np.float32)
+    points = np.concatenate(
+        [random().normal(0, 1, (500, 3)), random(1).uniform(-20, 20, (30, 3))]
+    ).astype(np.float32)
     apart = np.linalg.norm(points[:, None].astype(float) - points[None], axis=2)
     mean = np.sort(apart, axis=1)[:, 1:51].mean(1)
     expected = mean > mean.mean() + 1.0 * math.sqrt(((mean - mean.mean()) ** 2).sum() / 529)

@@ -37,15 +37,26 @@ LOW, HIGH = np.array([-3.0, -3.0, 0.0]), np.array([4.0, 3.0, 3.0])  # of the roo
 
 @cache
 def busy_room(frames: int = 9, rays: int = 2200, seed: int = 0) -> list[Scan]:
-    """Rays from a moving sensor to the walls of a room, to a box that moves for some frames and a box that leaves."""
+    """Rays from a moving sensor to the walls of a room, to a box that moves for some frames and a
+    box that leaves.
+    """
     random, scans = np.random.default_rng(seed), []
     for frame in range(frames):
         origin = np.array([0.1 * frame - 0.4, -1.6, 1.2])  # on borders of voxels in some frames
         direction = random.normal(size=(rays, 3))
-        surfaces = [np.where(direction > 0, (HIGH - origin) / direction, (LOW - origin) / direction).min(1)]
-        for centre in ((0.6 * min(frame, 6) - 2.2, 1.0, 1.2), (2.8, 0.5, 0.7) if frame < 3 else (9.0, 9.0, 9.0)):
-            near, far = np.sort([(np.array(centre) + s - origin) / direction for s in (-0.4, 0.4)], axis=0)
-            surfaces.append(np.where((near.max(1) > 0) & (near.max(1) < far.min(1)), near.max(1), np.inf))
+        surfaces = [
+            np.where(direction > 0, (HIGH - origin) / direction, (LOW - origin) / direction).min(1)
+        ]
+        for centre in (
+            (0.6 * min(frame, 6) - 2.2, 1.0, 1.2),
+            (2.8, 0.5, 0.7) if frame < 3 else (9.0, 9.0, 9.0),
+        ):
+            near, far = np.sort(
+                [(np.array(centre) + s - origin) / direction for s in (-0.4, 0.4)], axis=0
+            )
+            surfaces.append(
+                np.where((near.max(1) > 0) & (near.max(1) < far.min(1)), near.max(1), np.inf)
+            )
         points = origin + direction * np.min(surfaces, axis=0)[:, None]
         points = np.concatenate([points, [origin + 0.1, [-9.0, 0.0, 1.0]]])
         scans.append(Scan(10 + frame, points.astype(np.float32), pose(*origin)))
@@ -65,14 +76,18 @@ def reasons(method, scans) -> list[list[str]]:
 
 
 @pytest.mark.parametrize(
-    "values", [{}, {"port": True}, {"counts_to_free": 1, "counts_to_revert": 1, "ray_max_height": 1.0}], ids=str
+    "values",
+    [{}, {"port": True}, {"counts_to_free": 1, "counts_to_revert": 1, "ray_max_height": 1.0}],
+    ids=str,
 )
 def test_reasons_and_levels_match_the_reference(values):
     values = COARSE | {"sky": False} | values
     scans = busy_room()
     method, reference = run(scans, **values), Reference(FreedomParams(**values))
     own = [reference.observe(scan) for scan in scans]
-    assert reasons(method, scans) == [reference.label(*pair) for pair in zip(scans, own, strict=True)]
+    assert reasons(method, scans) == [
+        reference.label(*pair) for pair in zip(scans, own, strict=True)
+    ]
     alone = run(scans, own_scan=True, **values)
     for scan, levels in zip(scans, own, strict=True):
         np.testing.assert_array_equal(alone.label(scan).dynamic, np.array(levels) > 0)
@@ -88,12 +103,17 @@ def test_every_reason_occurs_in_the_small_world():
 
 @pytest.mark.plain
 def test_a_box_that_leaves_is_taken_back():
-    """The box at the wall is static while it is there; its points are removed once rays pass through its place."""
+    """The box at the wall is static while it is there.
+
+    Its points are removed once rays pass through its place.
+    """
     scans = busy_room()
     box = [np.linalg.norm(scan.points - (2.8, 0.5, 0.7), axis=1) < 0.6 for scan in scans[:3]]
     shorter, longer = run(scans[:3], **COARSE), run(scans, **COARSE)
     removed = [
-        np.mean([method.label(scan).dynamic[b].mean() for scan, b in zip(scans[:3], box, strict=True)])
+        np.mean(
+            [method.label(scan).dynamic[b].mean() for scan, b in zip(scans[:3], box, strict=True)]
+        )
         for method in (shorter, longer)
     ]
     assert removed[0] < 0.1
@@ -105,12 +125,18 @@ def test_online_the_scans_so_far_decide():
     method = run([], extent=Extent.of(*scans), **COARSE)
     for n, scan in enumerate(scans, 1):
         method.observe(scan)
-        assert reasons(method, [scan]) == reasons(run(scans[:n], extent=Extent.of(*scans), **COARSE), [scan])
+        assert reasons(method, [scan]) == reasons(
+            run(scans[:n], extent=Extent.of(*scans), **COARSE), [scan]
+        )
 
 
 def test_labels_do_not_depend_on_threads_the_probe_or_the_extent():
     scans = busy_room(6)
-    wide = Extent(np.full(3, -10.0), np.full(3, 10.0), np.argwhere(np.ones((26, 26, 26))).astype(np.int32) - 13)
+    wide = Extent(
+        np.full(3, -10.0),
+        np.full(3, 10.0),
+        np.argwhere(np.ones((26, 26, 26))).astype(np.int32) - 13,
+    )
     try:
         kernels.set_threads(1)
         alone = reasons(run(scans, **COARSE), scans)
@@ -151,10 +177,20 @@ IMAGE = DepthImage(16, math.radians(40), math.radians(-40), 20.0, 3, 0)
 def test_rays_into_the_sky_end_in_holes_at_the_upper_border():
     """Walls up to 10 degrees, and a window below that horizon which must stay closed."""
     random = np.random.default_rng(3)
-    azimuth, elevation = random.uniform(-np.pi, np.pi, 60000), np.radians(random.uniform(-42, 10, 60000))
+    azimuth, elevation = (
+        random.uniform(-np.pi, np.pi, 60000),
+        np.radians(random.uniform(-42, 10, 60000)),
+    )
     window = (np.abs(azimuth) < 0.3) & (np.abs(elevation + 0.2) < 0.12)
     azimuth, elevation = azimuth[~window], elevation[~window]
-    away = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)], 1)
+    away = np.stack(
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+        ],
+        1,
+    )
     T = pose(3.0, -2.0, 1.5)
     T[:2, :2] = [[0.6, -0.8], [0.8, 0.6]]
     scan = Scan(0, (10 * away @ T[:3, :3].T + T[:3, 3]).astype(np.float32), T)
@@ -172,8 +208,13 @@ def test_rays_into_the_sky_end_in_holes_at_the_upper_border():
 
 def test_the_depth_image_follows_from_the_sensor_or_the_parameters():
     assert image_of(FreedomParams(), SENSOR).rows == 16
-    assert image_of(FreedomParams(image_rows=9, lowest=-10, highest=6), SENSOR).pixel == pytest.approx(math.radians(2))
-    assert image_of(FreedomParams(), Sensor(elevation=(-10.0, 30.0), points_per_sweep=14400)).rows == 40
+    assert image_of(
+        FreedomParams(image_rows=9, lowest=-10, highest=6), SENSOR
+    ).pixel == pytest.approx(math.radians(2))
+    assert (
+        image_of(FreedomParams(), Sensor(elevation=(-10.0, 30.0), points_per_sweep=14400)).rows
+        == 40
+    )
     with pytest.raises(UsageError, match="freedom needs the rows and the vertical field of view"):
         image_of(FreedomParams(), Sensor())
 

@@ -19,25 +19,42 @@ from dynaviz_methods.hmm_mos import CLASS, REASONS, HmmMos, HmmMosParams
 pytestmark = pytest.mark.boundscheck
 
 NAME = [reason.name for reason in REASONS]
-COARSE = {"resolution": 0.3, "kernel": 3, "window": 3, "min_score": 1, "min_range": 0.8, "max_range": 20.0}
+COARSE = {
+    "resolution": 0.3,
+    "kernel": 3,
+    "window": 3,
+    "min_score": 1,
+    "min_range": 0.8,
+    "max_range": 20.0,
+}
 
 
 LOW, HIGH = np.array([-3.0, -3.0, 0.0]), np.array([4.0, 3.0, 3.0])  # of the room
 
 
 def small_room(frames: int, rays: int, stops: int = 99, seed: int = 0) -> list[Scan]:
-    """Rays from a moving sensor to the walls of a room, and to a box that moves 0.7 m a frame until it stops."""
+    """Rays from a moving sensor to the walls of a room, and to a box that moves 0.7 m a frame until
+    it stops.
+    """
     random, scans = np.random.default_rng(seed), []
     for frame in range(frames):
         origin = np.array([0.12 * frame - 0.3, -1.5, 1.2])
         direction = random.normal(size=(rays, 3))
         with np.errstate(divide="ignore"):
-            wall = np.where(direction > 0, (HIGH - origin) / direction, (LOW - origin) / direction).min(1)
+            wall = np.where(
+                direction > 0, (HIGH - origin) / direction, (LOW - origin) / direction
+            ).min(1)
             centre = np.array([0.7 * min(frame, stops) - 2.6, 1.0, 1.0])
-            near, far = np.sort([(centre - 0.5 - origin) / direction, (centre + 0.5 - origin) / direction], axis=0)
+            near, far = np.sort(
+                [(centre - 0.5 - origin) / direction, (centre + 0.5 - origin) / direction], axis=0
+            )
         moving = (near.max(1) > 0) & (near.max(1) < far.min(1))
         points = origin + direction * np.where(moving, near.max(1), wall)[:, None]
-        scans.append(Scan(10 + frame, points.astype(np.float32), pose(*origin), labels=moving.astype(np.uint8)))
+        scans.append(
+            Scan(
+                10 + frame, points.astype(np.float32), pose(*origin), labels=moving.astype(np.uint8)
+            )
+        )
     return scans
 
 
@@ -46,7 +63,9 @@ def crossed_room(frames: int = 9) -> list[Scan]:
     """The small room, with points at the sensor, outside the room, and not finite."""
     strays = np.array([[0.0, -1.5, 1.3], [3.2, 9.1, 3.0], [np.nan, 0, 0]], np.float32)
     scans = [scan.without_truth() for scan in small_room(frames, 3000)]
-    return [dataclasses.replace(scan, points=np.concatenate([scan.points, strays])) for scan in scans]
+    return [
+        dataclasses.replace(scan, points=np.concatenate([scan.points, strays])) for scan in scans
+    ]
 
 
 def begin(scans, probe=SILENT, extent=None, **values) -> HmmMos:
@@ -85,7 +104,9 @@ def test_reasons_match_the_reference(values):
         method.observe(scan)
         expected = reference.observe(scan)
         finite = np.isfinite(scan.points).all(1)
-        expected = [name if ok else "out_of_reach" for name, ok in zip(expected, finite, strict=True)]
+        expected = [
+            name if ok else "out_of_reach" for name, ok in zip(expected, finite, strict=True)
+        ]
         (given,) = reasons(method, [scan])
         assert given == expected
         found += given
@@ -120,7 +141,11 @@ def test_labels_online_are_those_after_all_scans():
 
 def test_labels_do_not_depend_on_threads_the_probe_the_extent_or_point_order():
     scans = crossed_room(6)
-    wide = Extent(np.full(3, -40.0), np.full(3, 40.0), np.argwhere(np.ones((26, 26, 26))).astype(np.int32) - 13)
+    wide = Extent(
+        np.full(3, -40.0),
+        np.full(3, 40.0),
+        np.argwhere(np.ones((26, 26, 26))).astype(np.int32) - 13,
+    )
     try:
         kernels.set_threads(1)
         alone = reasons(run(scans, **COARSE), scans)
@@ -144,7 +169,12 @@ def test_states_match_the_labels():
         if labels.dynamic.any():
             assert shown["threshold"].value > method.params.min_score
             assert shown["window_score"].values.max() > shown["threshold"].value
-        hit = set(map(tuple, np.floor(scan.points[np.isfinite(scan.points).all(1)] / 0.3).astype(int).tolist()))
+        hit = set(
+            map(
+                tuple,
+                np.floor(scan.points[np.isfinite(scan.points).all(1)] / 0.3).astype(int).tolist(),
+            )
+        )
         for name in ("turned", "score", "window_score"):
             assert set(map(tuple, shown[name].keys.tolist())) <= hit
         assert len(shown["belief"].keys) == len(shown["likelihood"].keys) > 0
@@ -184,7 +214,11 @@ def test_invalid_parameters_are_rejected(values):
 
 
 def test_presets_have_the_published_values():
-    published = {"semindoor": (0.5, 20.0, 5, False), "helimos": (1.5, 50.0, 3, False), "port": (1.5, 120.0, 5, True)}
+    published = {
+        "semindoor": (0.5, 20.0, 5, False),
+        "helimos": (1.5, 50.0, 3, False),
+        "port": (1.5, 120.0, 5, True),
+    }
     for preset, expected in published.items():
         p = resolve(HmmMos, preset).params
         assert (p.min_range, p.max_range, p.window, p.port) == expected

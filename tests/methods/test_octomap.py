@@ -24,11 +24,16 @@ def scan(index: int, points, origins) -> Scan:
     origins = np.atleast_2d(np.asarray(origins, float))
     T_world_sensor = np.eye(4)
     T_world_sensor[:3, 3] = origins[0]
-    return Scan(index, np.asarray(points, np.float32).reshape(-1, 3), T_world_sensor, origins=origins)
+    return Scan(
+        index, np.asarray(points, np.float32).reshape(-1, 3), T_world_sensor, origins=origins
+    )
 
 
 def scattered(seed: int, resolution: float) -> list[Scan]:
-    """A few points in a small space, so that rays often cross voxels of other points; some rays along the axes."""
+    """A few points in a small space, so that rays often cross voxels of other points.
+
+    Some rays along the axes.
+    """
     random = np.random.default_rng(seed)
     scans = []
     for index in range(4):
@@ -49,7 +54,9 @@ def ground_and_walls(frames: int = 4, seed: int = 0) -> list[Scan]:
         wall = random.uniform((7, -8, 0), (7.05, 8, 3), (500, 3))
         box = random.uniform((0, 2, 0.2), (0.5, 2.5, 1.5), (200, 3)) + np.array([1.5 * index, 0, 0])
         strays = random.uniform((-8, -8, 0.5), (8, 8, 6), (60, 3))
-        scans.append(scan(3 * index + 1, np.concatenate([floor, wall, box, strays]), (0.1 * index, 0, 1.7)))
+        scans.append(
+            scan(3 * index + 1, np.concatenate([floor, wall, box, strays]), (0.1 * index, 0, 1.7))
+        )
     return scans
 
 
@@ -74,13 +81,18 @@ def test_voxels_and_labels_match_the_reference(resolution, seed):
     for s in scans:
         reference.observe(s)
     voxels = np.arange(len(method._grid) * VOXELS)
-    expected = np.array([reference.log_odds.get(tuple(k), 0) for k in method._grid.keys(voxels).tolist()], np.float32)
+    expected = np.array(
+        [reference.log_odds.get(tuple(k), 0) for k in method._grid.keys(voxels).tolist()],
+        np.float32,
+    )
     np.testing.assert_array_equal(method._log_odds[:-1].ravel(), expected)
     for s in scans:
         given = method.label(s)
         np.testing.assert_array_equal(given.dynamic, reference.label(s))
         crossed = np.array([key(p, resolution) in reference.ever_crossed for p in s.points])
-        np.testing.assert_array_equal(given.reasons, np.where(given.dynamic, 1, np.where(crossed, 0, 2)))
+        np.testing.assert_array_equal(
+            given.reasons, np.where(given.dynamic, 1, np.where(crossed, 0, 2))
+        )
     assert labels(method, scans).any()
 
 
@@ -92,7 +104,9 @@ def test_each_point_may_have_its_own_origin():
     method, reference = run(OctoMap, scans), Reference(0.1)
     for s in scans:
         reference.observe(s)
-    np.testing.assert_array_equal(labels(method, scans), np.concatenate([reference.label(s) for s in scans]))
+    np.testing.assert_array_equal(
+        labels(method, scans), np.concatenate([reference.label(s) for s in scans])
+    )
 
 
 @pytest.mark.plain
@@ -102,14 +116,18 @@ def test_log_odds_count_and_clamp():
     misses = [scan(10 + k, far, (0.05, 0.05, 0.05)) for k in range(20)]
     for n, expected in ((8, 3.4761 - 8 * 0.405465), (9, 3.4761 - 9 * 0.405465), (20, -1.99243)):
         method = run(OctoMap, hits + misses[:n], extent=Extent.of(*hits, *misses))
-        assert method._log_odds.ravel()[method._grid.locate(hits[0].points)] == pytest.approx(expected, abs=1e-3)
+        assert method._log_odds.ravel()[method._grid.locate(hits[0].points)] == pytest.approx(
+            expected, abs=1e-3
+        )
         assert method.label(hits[0]).dynamic.tolist() == [expected < 0]
 
 
 def test_a_voxel_crossed_and_hit_by_one_scan_gets_both_updates():
     both = scan(0, [(1.02, 0.05, 0.05), (2.05, 0.05, 0.05)], (0.05, 0.05, 0.05))
     method = run(OctoMap, [both])
-    assert method._log_odds.ravel()[method._grid.locate(both.points)] == pytest.approx([0.441833, 0.847298], abs=1e-5)
+    assert method._log_odds.ravel()[method._grid.locate(both.points)] == pytest.approx(
+        [0.441833, 0.847298], abs=1e-5
+    )
     assert method.label(both).reasons.tolist() == [0, 2]
 
 
@@ -130,7 +148,9 @@ def test_odd_scans_are_kept(method, points):
     points = np.array(points, np.float32).reshape(-1, 3)
     s = scan(0, points, (0.0, 0.0, 0.0))
     # The extent of the valid points, as the runner computes it.
-    extent = Extent.of(scan(0, points[np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)], (0.0, 0.0, 0.0)))
+    extent = Extent.of(
+        scan(0, points[np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)], (0.0, 0.0, 0.0))
+    )
     ran = run(method, [s], extent=extent)
     given = ran.label(s)
     assert not given.dynamic.any()
@@ -142,7 +162,9 @@ def test_odd_scans_are_kept(method, points):
 def test_a_sensor_beyond_reach_casts_no_rays_but_its_points_hit():
     s = scan(0, [(3276.0, 0.0, 0.0), (3270.0, 0.0, 0.0)], (3300.0, 0.0, 0.0))
     method = run(OctoMap, [s])
-    assert [method.info.reasons[code].name for code in method.label(s).reasons] == ["never_crossed"] * 2
+    assert [method.info.reasons[code].name for code in method.label(s).reasons] == [
+        "never_crossed"
+    ] * 2
 
 
 def test_points_outside_the_extent_are_kept_unjudged():
@@ -170,7 +192,9 @@ def test_labels_do_not_depend_on_threads_or_the_probe(method):
 
 def test_labels_do_not_depend_on_the_extent():
     scans = ground_and_walls()
-    wide = Extent.of(*scans, scan(9, np.random.default_rng(0).uniform(-30, 30, (3000, 3)), (0.0, 0, 0)))
+    wide = Extent.of(
+        *scans, scan(9, np.random.default_rng(0).uniform(-30, 30, (3000, 3)), (0.0, 0, 0))
+    )
     narrow, large = run(OctoMap, scans), run(OctoMap, scans, extent=wide)
     np.testing.assert_array_equal(labels(narrow, scans), labels(large, scans))
     assert len(large._grid) > len(narrow._grid)
@@ -197,7 +221,9 @@ def test_ground_is_kept_and_does_not_mark_its_voxels_occupied():
     )
     codes = with_ground.label(scans[0]).reasons
     assert (codes[floor] == 4).all()
-    ground_alone = with_ground._grid.locate(scans[0].points[floor][np.abs(scans[0].points[floor, 0] + 4) < 2])
+    ground_alone = with_ground._grid.locate(
+        scans[0].points[floor][np.abs(scans[0].points[floor, 0] + 4) < 2]
+    )
     assert (with_ground._log_odds.ravel()[ground_alone] <= 0).all()
 
 
@@ -205,7 +231,9 @@ def test_rays_to_the_ground_are_optional():
     below = [(x, 0.0, 0.0) for x in np.linspace(2, 4, 30)]
     below += [(x, y, 0.0) for x in (2, 4) for y in np.linspace(1, 2, 20)]
     between = [(1.5, 0.0, 0.5)]  # on the way from the sensor to (3, 0, 0)
-    scans = [scan(0, below + between, (0.0, 0.0, 1.0))] + [scan(k, below, (0.0, 0.0, 1.0)) for k in range(1, 6)]
+    scans = [scan(0, below + between, (0.0, 0.0, 1.0))] + [
+        scan(k, below, (0.0, 0.0, 1.0)) for k in range(1, 6)
+    ]
     cast = run(OctoMapG, scans)
     uncast = run(OctoMapG, scans, params=OctoMapG.Params(cast_ground_rays=False))
     assert cast.label(scans[0]).dynamic[-1]
@@ -227,7 +255,10 @@ def test_noise_marks_its_voxel_but_casts_no_ray():
 
 def test_the_same_seed_gives_the_same_labels():
     step = np.float32(0.15)  # in the floor, so that no plane contains all of it
-    scans = [dataclasses.replace(s, points=s.points + step * (s.points[:, :1] > 2)) for s in ground_and_walls()]
+    scans = [
+        dataclasses.replace(s, points=s.points + step * (s.points[:, :1] > 2))
+        for s in ground_and_walls()
+    ]
     answers = [labels(run(OctoMapG, scans, seed=seed), scans) for seed in (1, 1, 2, 3, 4)]
     np.testing.assert_array_equal(answers[0], answers[1])
     assert any((answers[0] != other).any() for other in answers[2:])
@@ -247,7 +278,11 @@ def test_states_are_those_declared_and_match_the_map(method):
     parts = {tuple(k) for name in ("crossed", "hit") for k in probe.values[name][-1].keys.tolist()}
     assert parts == {tuple(k) for k in last.keys.tolist()}
     hit = {tuple(k) for k in probe.values["hit"][-1].keys.tolist()}
-    marking = scans[-1].points[~probe.values["ground"][-1].chosen] if "ground" in probe.values else scans[-1].points
+    marking = (
+        scans[-1].points[~probe.values["ground"][-1].chosen]
+        if "ground" in probe.values
+        else scans[-1].points
+    )
     assert hit == {key(p, 0.1) for p in marking}
     assert {Voxels} <= set(kinds.values()) <= {Voxels, Mask, Plane}
 

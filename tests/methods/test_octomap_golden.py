@@ -16,9 +16,13 @@ def test_octomap_matches_the_public_program_except_on_borders(golden):
     assert golden.scores(ours) == pytest.approx(golden.scores(theirs), abs=0.01)
 
 
-@pytest.mark.parametrize("golden", ["mini", pytest.param("kitti_tracking_0012", marks=pytest.mark.slow)], indirect=True)
+@pytest.mark.parametrize(
+    "golden", ["mini", pytest.param("kitti_tracking_0012", marks=pytest.mark.slow)], indirect=True
+)
 def test_with_a_float32_resolution_every_label_matches(golden):
-    np.testing.assert_array_equal(golden.run(OctoMap, resolution=float(np.float32(0.1))), golden.removed["octomap"])
+    np.testing.assert_array_equal(
+        golden.run(OctoMap, resolution=float(np.float32(0.1))), golden.removed["octomap"]
+    )
 
 
 @pytest.mark.slow

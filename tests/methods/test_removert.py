@@ -33,14 +33,18 @@ def scan(index: int, points, position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)) -> 
 
 
 def street(frames: int = 5, thin: int = 1, seed: int = 0) -> list[Scan]:
-    """Far from the origin: rays of a rotating sensor to a floor, a round wall and a passing ball."""
+    """Far from the origin: rays of a rotating sensor to a floor, a round wall and a
+    passing ball.
+    """
     random = np.random.default_rng(seed)
     scans = []
     for frame in range(frames):
         turn = 0.05 * frame, -0.03 * frame, 1.1 * frame
         away = np.radians(random.uniform((-180, -28), (180, 28), (4000 // thin, 2)))
         up = np.sin(away[:, 1])
-        direction = np.stack([np.cos(away[:, 0]), np.sin(away[:, 0]), np.tan(away[:, 1])], 1) * np.cos(away[:, 1:])
+        direction = np.stack(
+            [np.cos(away[:, 0]), np.sin(away[:, 0]), np.tan(away[:, 1])], 1
+        ) * np.cos(away[:, 1:])
         wall = 12 / np.cos(away[:, 1])
         reach = np.where(up < 0, np.minimum(wall, 5 / np.maximum(-up, 1e-6)), wall)
         centre = np.array([5.0, -4.0 + 2 * frame, 0.0])
@@ -69,7 +73,9 @@ def run(scans, params=COARSE, probe=SILENT, sensor=SENSOR):
 
 def context(scans, probe=SILENT, sensor=SENSOR):
     unused = [scan(0, [(0.0, 0.0, 0.0)])]  # Removert does not use the extent
-    return Context(Extent.of(*unused), sensor, probe, raw_map=np.concatenate([s.points for s in scans]))
+    return Context(
+        Extent.of(*unused), sensor, probe, raw_map=np.concatenate([s.points for s in scans])
+    )
 
 
 def labels(method, scans):
@@ -100,12 +106,19 @@ def test_reasons_match_the_reference(variant):
     scans[2] = dataclasses.replace(scans[2], points=np.concatenate([odd, scans[2].points]))
     method, probe = run(scans, params), MemoryProbe()
     reference = Reference(
-        params, context(scans).raw_map, params.elevation or SENSOR.elevation, params.azimuth or SENSOR.azimuth
+        params,
+        context(scans).raw_map,
+        params.elevation or SENSOR.elevation,
+        params.azimuth or SENSOR.azimuth,
     )
     for s in scans:
         reference.observe(s)
     labelled = [reference.label(s) for s in scans]
-    expected = [reason for s, each in zip(scans, labelled, strict=True) for reason in reference.reasons(s, each)]
+    expected = [
+        reason
+        for s, each in zip(scans, labelled, strict=True)
+        for reason in reference.reasons(s, each)
+    ]
     assert [reason for s in scans for reason in names(method, s)] == expected
     dynamic = labels(method, scans)
     np.testing.assert_array_equal(dynamic, [value for each in labelled for value in each])
@@ -124,7 +137,9 @@ def test_the_ball_is_removed_and_the_rest_is_kept():
     assert ball.sum() > 100
 
 
-@pytest.mark.parametrize("values", [{}, {"revert_resolutions": (0.4,)}, {"port": True}, {"scan_neighbours": 2}])
+@pytest.mark.parametrize(
+    "values", [{}, {"revert_resolutions": (0.4,)}, {"port": True}, {"scan_neighbours": 2}]
+)
 def test_labels_do_not_depend_on_threads_or_the_probe(values):
     scans, params = street(), dataclasses.replace(COARSE, **values)
     answer = labels(run(scans, params), scans)
@@ -146,7 +161,10 @@ def test_ignoring_map_points_beyond_reach_changes_no_label(port):
     for k, s in enumerate(street(4, thin=10) * 3):
         shift = np.array([300.0 * (k // 4), 0, 0])
         near.append(scan(k, s.points + shift, s.position + shift))
-    far = [scan(s.index, np.vstack([s.points, s.position + np.array((0, 9e4, 9e4))]), s.position) for s in near]
+    far = [
+        scan(s.index, np.vstack([s.points, s.position + np.array((0, 9e4, 9e4))]), s.position)
+        for s in near
+    ]
     all_of_it, cut = run(far, params), run(near, params)
     expected = np.concatenate([all_of_it.label(s).dynamic[:-1] for s in far])
     np.testing.assert_array_equal(labels(cut, near), expected)
@@ -169,17 +187,30 @@ def test_removal_is_final_and_begin_discards_it():
 
 
 def test_reasons_of_points_along_a_ray():
-    """Along one ray: an object at 5 m that disappears, a wall at 10 m seen three times, and a point behind it."""
+    """Along one ray: an object at 5 m that disappears, a wall at 10 m seen three times, and a point
+    behind it.
+    """
     wall, thing, behind, above = (10.0, 0, 0), (5.0, 0, 0), (15.0, 0, 0), (1.0, 0, 5.0)
     left = (0.0, 20.0, 0.0)
-    scans = [scan(0, [thing, above]), scan(1, [wall]), scan(2, [wall, left]), scan(3, [behind]), scan(4, [wall])]
+    scans = [
+        scan(0, [thing, above]),
+        scan(1, [wall]),
+        scan(2, [wall, left]),
+        scan(3, [behind]),
+        scan(4, [wall]),
+    ]
     method = run(scans, dataclasses.replace(COARSE, voxel=0.0))
     nearer = "nearer_than_scan_at_res_1"
     expected = [[nearer, "out_of_view"], [nearer], [nearer, "hidden"], ["hidden"], [nearer]]
     assert [names(method, s) for s in scans] == expected
     del scans[3]  # without it nothing is seen behind the wall
     method = run(scans, dataclasses.replace(COARSE, voxel=0.0))
-    assert [names(method, s) for s in scans] == [[nearer, "out_of_view"], ["agrees"], ["agrees", "hidden"], ["agrees"]]
+    assert [names(method, s) for s in scans] == [
+        [nearer, "out_of_view"],
+        ["agrees"],
+        ["agrees", "hidden"],
+        ["agrees"],
+    ]
 
 
 @pytest.mark.parametrize(("nearer", "removed"), [(9.4, True), (9.6, False)])
@@ -220,13 +251,18 @@ def test_states_are_those_declared_and_are_consistent():
     for frame, s in enumerate(scans):
         for k, resolution in enumerate(COARSE.resolutions, 1):
             of_scan, of_map, difference, flagged = (
-                probe.values[f"{name}_{k}"][frame].ranges for name in ("scan", "map", "difference", "flagged")
+                probe.values[f"{name}_{k}"][frame].ranges
+                for name in ("scan", "map", "difference", "flagged")
             )
             assert of_scan.shape == (round(60 * resolution), round(360 * resolution))
             np.testing.assert_array_equal(difference, of_scan - of_map)
             with np.errstate(invalid="ignore"):
-                np.testing.assert_array_equal(~np.isnan(flagged), difference > np.float32(0.05) * of_scan)
-            assert np.nanmin(of_scan) == pytest.approx(np.linalg.norm(s.points - s.position, axis=1).min())
+                np.testing.assert_array_equal(
+                    ~np.isnan(flagged), difference > np.float32(0.05) * of_scan
+                )
+            assert np.nanmin(of_scan) == pytest.approx(
+                np.linalg.norm(s.points - s.position, axis=1).min()
+            )
     accused = np.concatenate([value.xyz for value in probe.values["accused"]])
     points = method._map[:, method._dynamic(method._past)[:-1]].T
     assert {tuple(p) for p in accused} == {tuple(p) for p in points}
@@ -242,8 +278,15 @@ def test_two_resolutions_have_states_of_two():
 def test_pictures_have_up_at_the_top_and_left_on_the_left():
     views = image_views((0.5, 0.1), (-30.0, 10.0), (-180.0, 180.0))
     directions = np.radians([(0.0, 6.0), (90.0, 0.0), (-90.0, -20.0)])
-    points = np.array([(np.cos(a) * 5, np.sin(a) * 5, np.tan(e) * 5) for a, e in directions], np.float32)
-    camera = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64), views, False
+    points = np.array(
+        [(np.cos(a) * 5, np.sin(a) * 5, np.tan(e) * 5) for a, e in directions], np.float32
+    )
+    camera = (
+        kernels.as_readonly(np.zeros(3), np.float64),
+        kernels.as_readonly(np.eye(3), np.float64),
+        views,
+        False,
+    )
     xyz = kernels.as_readonly(points.T, np.float32)
     flat, _ = kernels.range_image.nearest(xyz, *whole(len(points)), *camera, 1, np.float32(0))
     image = picture(flat, views[0]).ranges
@@ -267,7 +310,9 @@ def test_pictures_have_up_at_the_top_and_left_on_the_left():
     ],
     ids=["empty", "one", "at the sensor", "not finite", "beyond reach", "above and below"],
 )
-@pytest.mark.parametrize("values", [{}, {"port": True}, {"voxel": 0.0}, {"scan_neighbours": 2}], ids=str)
+@pytest.mark.parametrize(
+    "values", [{}, {"port": True}, {"voxel": 0.0}, {"scan_neighbours": 2}], ids=str
+)
 def test_odd_scans_are_kept(points, values):
     s = scan(0, points)
     method = run([s], dataclasses.replace(COARSE, **values), probe=MemoryProbe())
@@ -286,7 +331,9 @@ def test_a_missing_field_of_view_is_an_error():
 
 def test_preset_values():
     assert resolve(Removert, preset="av2").params.resolutions == (2.5, 1.5)
-    assert resolve(Removert, preset="kitti").params == dataclasses.replace(RemovertParams(), resolutions=(2.5, 2.2, 2))
+    assert resolve(Removert, preset="kitti").params == dataclasses.replace(
+        RemovertParams(), resolutions=(2.5, 2.2, 2)
+    )
     port = resolve(Removert, preset="port").params
     assert (port.port, port.voxel, port.elevation) == (True, 0.0, (-25.0, 25.0))
 

@@ -9,7 +9,9 @@ from dynaviz_methods.removert import Removert
 PUBLISHED = {"mini": (97.02, 37.78), "kitti_tracking_0012": (99.71, 19.89)}  # SA and DA
 
 
-@pytest.mark.parametrize("golden", ["mini", pytest.param("kitti_tracking_0012", marks=pytest.mark.slow)], indirect=True)
+@pytest.mark.parametrize(
+    "golden", ["mini", pytest.param("kitti_tracking_0012", marks=pytest.mark.slow)], indirect=True
+)
 def test_the_port_removes_the_points_of_the_public_one(golden):
     ours, theirs = golden.run(Removert, "port"), golden.removed["removert_port"]
     assert (ours == theirs).mean() > 0.99998  # the port computes angles in single precision

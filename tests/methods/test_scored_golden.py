@@ -1,4 +1,7 @@
-"""Maps of the public programs, scored: the scores of the public scripts, and every label as by other libraries."""
+"""Maps of the public programs, scored.
+
+The scores of the public scripts, and every label as by other libraries.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,9 @@ def test_maps_of_the_public_programs_score_as_in_the_public_scripts(mini, tmp_pa
     kept = mini.points[~mini.removed[program]]
     write_pcd(tmp_path / "map.pcd", dict(zip("xyz", kept.T, strict=True)))
     result = dv.score(tmp_path / "map.pcd", dv.open(mini.shared / "golden/mini"))
-    assert [result.metrics[name] for name in ("SA", "DA", "AA")] == pytest.approx(PRINTED[program], abs=0.005)
+    assert [result.metrics[name] for name in ("SA", "DA", "AA")] == pytest.approx(
+        PRINTED[program], abs=0.005
+    )
 
 
 def test_scores_of_the_erasor_map_match_scipy_and_open3d(golden):
@@ -41,11 +46,16 @@ def test_scores_of_the_erasor_map_match_scipy_and_open3d(golden):
     scored = ExternalMap(path, "erasor")
     scored.begin(Context(Extent.of(*golden.scans)))
     removed = scored.label(Scan(0, points, np.eye(4))).dynamic
-    distance, _ = cKDTree(scored.points.astype(np.float64)).query(points.astype(np.float64), workers=-1)
+    distance, _ = cKDTree(scored.points.astype(np.float64)).query(
+        points.astype(np.float64), workers=-1
+    )
     on_the_border = np.abs(distance - 0.05) < 1e-8
     assert np.array_equal(removed[~on_the_border], distance[~on_the_border] > 0.05)
     some = slice(None, None, 50)
-    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz)) for xyz in (points[some], scored.points)]
+    clouds = [
+        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz))
+        for xyz in (points[some], scored.points)
+    ]
     theirs = np.asarray(clouds[0].compute_point_cloud_distance(clouds[1]))
     assert np.array_equal(removed[some][~on_the_border[some]], theirs[~on_the_border[some]] > 0.05)
     everywhere = np.zeros(len(golden.truth), bool)

@@ -1,4 +1,7 @@
-"""SeeThrough against a plain reference, and its properties: whole objects with their feet, even parked."""
+"""SeeThrough against a plain reference, and its properties.
+
+Whole objects with their feet, even parked.
+"""
 
 from __future__ import annotations
 
@@ -38,14 +41,18 @@ from dynaviz_methods.seethrough.method import (
 pytestmark = pytest.mark.boundscheck
 
 
-def running(scans: list[Scan], params: SeeThroughParams | None = None, **context: object) -> SeeThrough:
+def running(
+    scans: list[Scan], params: SeeThroughParams | None = None, **context: object
+) -> SeeThrough:
     method = begun(scans, params, **context)
     for scan in scans:
         method.observe(scan)
     return method
 
 
-def begun(scans: list[Scan], params: SeeThroughParams | None = None, **context: object) -> SeeThrough:
+def begun(
+    scans: list[Scan], params: SeeThroughParams | None = None, **context: object
+) -> SeeThrough:
     method = SeeThrough(params or SeeThroughParams())
     method.begin(Context(Extent.of(*scans), **context))  # type: ignore[arg-type]
     return method
@@ -61,7 +68,9 @@ def block(x: float, y: float, low: float = 0.0, high: float = 1.5, wide: float =
     along, up = np.meshgrid(np.arange(-wide / 2, wide / 2, 0.08), np.arange(low, high, 0.08))
     front = np.stack([np.full(along.size, x), y + along.ravel(), up.ravel()], 1)
     deep, across = np.meshgrid(np.arange(0, 1.5, 0.08), np.arange(-wide / 2, wide / 2, 0.08))
-    return np.concatenate([front, np.stack([x + deep.ravel(), y + across.ravel(), np.full(deep.size, high)], 1)])
+    return np.concatenate(
+        [front, np.stack([x + deep.ravel(), y + across.ravel(), np.full(deep.size, high)], 1)]
+    )
 
 
 def wall(x: float = 14.0) -> np.ndarray:
@@ -89,7 +98,9 @@ def test_a_moving_object_is_removed_completely_and_static_objects_are_kept() -> 
         high = scan.points[n : n + b, 2] > 0.4
         assert REMOVED[moving[high]].all()
         assert (moving[high] == SEEN_THROUGH).any()
-        assert REMOVED[moving[scan.points[n : n + b, 2] > 0.2]].all(), "feet are removed with their object"
+        assert REMOVED[moving[scan.points[n : n + b, 2] > 0.2]].all(), (
+            "feet are removed with their object"
+        )
         assert not REMOVED[codes[:n]].any()
         assert not REMOVED[codes[n + b :]].any()
 
@@ -102,9 +113,13 @@ def test_a_car_that_arrives_and_parks_is_followed() -> None:
     reasons = [method.label(scan).reasons[n:] for scan in scans]
     high = [scan.points[n:, 2] > 0.25 for scan in scans]
     assert all(REMOVED[codes[up]].all() for codes, up in zip(reasons, high, strict=True))
-    assert (reasons[-1] == FOLLOWED).sum() > 100, "it hit some places more often than they were clear"
+    assert (reasons[-1] == FOLLOWED).sum() > 100, (
+        "it hit some places more often than they were clear"
+    )
     always = running(scans[24:])
-    assert not any(always.label(scan).dynamic.any() for scan in scans[24:]), "an object that never moves is kept"
+    assert not any(always.label(scan).dynamic.any() for scan in scans[24:]), (
+        "an object that never moves is kept"
+    )
 
 
 def test_a_car_that_parks_where_no_ray_passed_is_followed() -> None:
@@ -124,7 +139,10 @@ def test_a_car_that_parks_where_no_ray_passed_is_followed() -> None:
 
 def test_a_parked_car_that_drives_off_is_followed_back() -> None:
     places = [*[-2.0] * 60, *np.linspace(-1.6, 1.6, 9)]
-    scans = [seen(k, GROUND, wall(), block(7.0, y, wide=4.0), block(4.0, 6.0)) for k, y in enumerate(places)]
+    scans = [
+        seen(k, GROUND, wall(), block(7.0, y, wide=4.0), block(4.0, 6.0))
+        for k, y in enumerate(places)
+    ]
     method, alone, followed = running(scans), running(scans[:60]), 0
     n, b = len(GROUND) + len(wall()), len(block(7.0, 0, wide=4.0))
     for scan in scans[:60:6]:
@@ -143,9 +161,14 @@ def test_an_object_that_moves_by_less_than_half_its_length_has_moved(sigma: floa
     places = [*[-0.4] * 12, *np.linspace(-0.4, 0.4, 5), *[0.4] * 12]
     random = np.random.default_rng(0)
     long, waiting = block(7.0, 0.0, wide=4.0), block(6.0, 6.0)
-    scans = [seen(k, GROUND, wall(), long + np.array([0, y, 0]), waiting) for k, y in enumerate(places)]
+    scans = [
+        seen(k, GROUND, wall(), long + np.array([0, y, 0]), waiting) for k, y in enumerate(places)
+    ]
     jitter = random.normal(0, sigma, (len(scans), 3)) * (1, 1, 0)
-    scans = [dataclasses.replace(s, points=s.points + j.astype(np.float32)) for s, j in zip(scans, jitter, strict=True)]
+    scans = [
+        dataclasses.replace(s, points=s.points + j.astype(np.float32))
+        for s, j in zip(scans, jitter, strict=True)
+    ]
     method, n = running(scans), len(GROUND) + len(wall())
     for scan in scans[::4]:
         removed, high = method.label(scan).dynamic, scan.points[n : n + len(long), 2] > 0.3
@@ -175,12 +198,25 @@ def test_an_object_that_moves_by_less_than_half_its_length_has_moved(sigma: floa
 def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
     change: dict[str, Any], found: bool
 ) -> None:
-    """A vehicle of 4 m in the first scan, unknown in the second one, and displaced in the third; and something else."""
-    case = {"shift": 1.0, "wider": 0.0, "new": True, "old": True, "dynamic": (True, True), "steps": 2, "least": 0.12}
+    """A vehicle of 4 m in the first scan, unknown in the second one, and displaced in the third.
+
+    And something else.
+    """
+    case = {
+        "shift": 1.0,
+        "wider": 0.0,
+        "new": True,
+        "old": True,
+        "dynamic": (True, True),
+        "steps": 2,
+        "least": 0.12,
+    }
     case |= change
     ways = kernels.places.WAYS
     outline = np.abs(ways) @ [2.0, 1.0]
-    reach = np.array([outline, outline, 2 * outline, outline + ways @ [case["shift"], 0.0], outline], np.float32)
+    reach = np.array(
+        [outline, outline, 2 * outline, outline + ways @ [case["shift"], 0.0], outline], np.float32
+    )
     reach[3, 1] += case["wider"]
     x = np.arange(-1.75, 2.0, 0.5)
     after = x + case["shift"]
@@ -196,16 +232,28 @@ def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
     for end, dynamic in zip(ends, case["dynamic"], strict=True):
         evidence[rows(end)] = 0.1 if dynamic else -0.1
     tracks = np.array([0, 2, 3, 5]), np.arange(6), np.array([0, 1, 0, 0, 1]), 2
-    of_places = rows(np.concatenate(xs)), np.cumsum([0, *map(len, xs)]), evidence, np.zeros_like(evidence), 0.5
-    result = kernels.places.moved(*tracks, reach, 0.3, case["steps"], case["least"], centres, *of_places)
+    of_places = (
+        rows(np.concatenate(xs)),
+        np.cumsum([0, *map(len, xs)]),
+        evidence,
+        np.zeros_like(evidence),
+        0.5,
+    )
+    result = kernels.places.moved(
+        *tracks, reach, 0.3, case["steps"], case["least"], centres, *of_places
+    )
     assert result.tolist() == [found, False, False, found, False]
 
 
 def test_feet_stand_out_of_the_ground_of_their_own_scan() -> None:
-    """An error of a pose lifts the ground of a scan above that of the map, but not its feet above its ground."""
+    """An error of a pose lifts the ground of a scan above that of the map, but not its feet above
+    its ground.
+    """
     places = np.linspace(-4, 4, 12)
     lifted = GROUND + np.array([0, 0, 0.07])
-    scans = [seen(k, lifted if k == 6 else GROUND, wall(), block(7.0, y)) for k, y in enumerate(places)]
+    scans = [
+        seen(k, lifted if k == 6 else GROUND, wall(), block(7.0, y)) for k, y in enumerate(places)
+    ]
     removed = running(scans).label(scans[6]).dynamic[: len(GROUND)]
     assert removed.mean() < 0.005
 
@@ -229,12 +277,17 @@ def test_errors_of_poses_in_height_and_tilt_do_no_harm(lift: float, slope: float
 
 
 def test_a_little_ground_next_to_the_sensor_does_not_tilt_later_scans() -> None:
-    """The first scans see a sloping surface of 3 x 3 m below the sensor, as one next to a vehicle; then the road."""
+    """The first scans see a sloping surface of 3 x 3 m below the sensor, as one next to a vehicle.
+
+    Then the road.
+    """
     level, sensor, random = Level(3.0), np.zeros(3), np.random.default_rng(0)
     for reach, slope in [(1.6, 0.1)] * 2 + [(14.0, 0.0)] * 6:
         x, y = (axis.ravel() for axis in np.meshgrid(*[np.arange(-reach, reach, 0.1)] * 2))
         z = slope * x - 1.0 + random.normal(0, 0.02, len(x))
-        found = level.error(ScanGround.of(np.stack([x, y, z], 1).astype(np.float32), sensor), sensor)
+        found = level.error(
+            ScanGround.of(np.stack([x, y, z], 1).astype(np.float32), sensor), sensor
+        )
     assert np.abs(found[1:]).max() < 0.01
     assert abs(found[0]) < 0.1
 
@@ -249,16 +302,22 @@ def test_nothing_is_low_where_no_ground_is_known() -> None:
 @settings(max_examples=10, deadline=None)
 def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None:
     random = np.random.default_rng(seed)
-    hits, clear, grazed = (random.integers(0, most, (3, 512)).astype(np.uint16) for most in (6, 5, 4))
+    hits, clear, grazed = (
+        random.integers(0, most, (3, 512)).astype(np.uint16) for most in (6, 5, 4)
+    )
     up = random.integers(0, 2**63, (3, 8)).astype(np.uint64)
-    found = kernels.places.evidence(np.arange(-1, 12, dtype=np.int32), up, hits, clear, grazed, (0.3, 0.12, 3.0, 0.2))
+    found = kernels.places.evidence(
+        np.arange(-1, 12, dtype=np.int32), up, hits, clear, grazed, (0.3, 0.12, 3.0, 0.2)
+    )
     assert found[0] == 0
     for place in range(12):
         total = summed = 0.0
         for voxel in range(512):
             x, y = voxel >> 6, voxel >> 3 & 7
             h, c, q = (int(of[place >> 2, voxel]) for of in (hits, clear, grazed))
-            if (x >= 4, y >= 4) != (bool(place & 2), bool(place & 1)) or not int(up[place >> 2, x]) >> (voxel & 63) & 1:
+            if (x >= 4, y >= 4) != (bool(place & 2), bool(place & 1)) or not int(
+                up[place >> 2, x]
+            ) >> (voxel & 63) & 1:
                 continue
             against, others = 0.3 * q + 0.12 * h, h > 1 or c + q > 0
             empty = min(c / 3, 1) * (c - against) / (c + against) if c > against else None
@@ -269,8 +328,14 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
 
 
 def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
-    """A certain place and one with hits alone in one object; one that inherits what it lacks in another."""
-    own, shared = np.array([0.6, -0.1, -0.05, -0.2], np.float32), np.array([0.0, -1.0, 0.1, 0.0], np.float32)
+    """A certain place and one with hits alone in one object.
+
+    One that inherits what it lacks in another.
+    """
+    own, shared = (
+        np.array([0.6, -0.1, -0.05, -0.2], np.float32),
+        np.array([0.0, -1.0, 0.1, 0.0], np.float32),
+    )
     places, begins = np.arange(4, dtype=np.int32), np.array([0, 2, 3, 4, 4])
     certain = kernels.places.certainties(places, begins, own, shared, 0.5, 1 / 3)
     mean = (1.0 * 2.0 - 0.3 * 1.3) / (2.0 + 1.3)
@@ -278,7 +343,13 @@ def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
 
 
 def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
-    visits = [(2, 0, 1.0), (5, 0, -0.5), (2, 1, -1.0), (5, 1, 0.25), (2, 2, 1.0)]  # place, scan, certainty
+    visits = [
+        (2, 0, 1.0),
+        (5, 0, -0.5),
+        (2, 1, -1.0),
+        (5, 1, 0.25),
+        (2, 2, 1.0),
+    ]  # place, scan, certainty
     places, scans = (np.array([each[of] for each in visits], np.int32) for of in (0, 1))
     certain, numbers = np.array([each[2] for each in visits]), np.arange(3, dtype=np.int32)
     firsts = np.searchsorted(scans, np.arange(4))
@@ -290,9 +361,16 @@ def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
 @pytest.mark.plain
 @pytest.mark.parametrize(
     ("own", "shared", "reason"),
-    [(0.1, 0.0, SEEN_THROUGH), (0.1, -1.0, SEEN_THROUGH), (-0.1, 0.3, FOLLOWED), (-0.1, 0.1, TOO_LITTLE)],
+    [
+        (0.1, 0.0, SEEN_THROUGH),
+        (0.1, -1.0, SEEN_THROUGH),
+        (-0.1, 0.3, FOLLOWED),
+        (-0.1, 0.1, TOO_LITTLE),
+    ],
 )
-def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, shared: float, reason: int) -> None:
+def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(
+    own: float, shared: float, reason: int
+) -> None:
     clear = (np.full((1, 512), n, np.uint16) for n in (1, 3, 0))
     of_points = np.array([0]), np.array([2], np.uint8)
     of_places = np.ones(4, np.int32), np.float32([0, own]), np.float32([0, shared]), 0.5
@@ -312,17 +390,22 @@ def test_the_prior_rises_with_the_scans(number: int, prior: float) -> None:
 def test_online_labels_are_those_of_a_recording_that_ends_with_the_scan() -> None:
     """A car drives off, another one parks: tracks and moves are known as soon as they are seen."""
     scans = [
-        seen(k, GROUND, wall(), block(7.0, y), block(9.0, max(y, 0.5))) for k, y in enumerate(np.linspace(-4, 4, 12))
+        seen(k, GROUND, wall(), block(7.0, y), block(9.0, max(y, 0.5)))
+        for k, y in enumerate(np.linspace(-4, 4, 12))
     ]
     online = begun(scans)
     for k in range(len(scans)):
         online.observe(scans[k])
         recorded = running(scans[: k + 1])
         recorded.label(scans[0])
-        np.testing.assert_array_equal(online.label(scans[k]).reasons, recorded.label(scans[k]).reasons)
+        np.testing.assert_array_equal(
+            online.label(scans[k]).reasons, recorded.label(scans[k]).reasons
+        )
 
 
-def test_online_the_objects_of_the_last_scans_decide_and_no_others_are_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_online_the_objects_of_the_last_scans_decide_and_no_others_are_stored(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Scans are forgotten earlier than that, as in live use."""
     monkeypatch.setattr(history, "SCANS", 5)
     scans = [seen(k, GROUND, wall(), block(7.0, y)) for k, y in enumerate(np.linspace(-4, 4, 12))]
@@ -338,9 +421,14 @@ def test_online_the_objects_of_the_last_scans_decide_and_no_others_are_stored(mo
 
 
 def test_a_hit_guards_the_voxels_around_it_in_its_scan_and_in_the_next_one() -> None:
-    """Rays cross the place of a point that is there in the first scan alone, on their way to a wall."""
+    """Rays cross the place of a point that is there in the first scan alone, on their way to a
+    wall.
+    """
     point, wall_behind = np.float32([[2.05, 0.05, 0.05]]), np.float32([[4.05, 0.05, 0.05]])
-    grid, crossed = ClearGrid(Extent.of(Scan(0, np.concatenate([point, wall_behind]), np.eye(4))), 0.1), []
+    grid, crossed = (
+        ClearGrid(Extent.of(Scan(0, np.concatenate([point, wall_behind]), np.eye(4))), 0.1),
+        [],
+    )
     voxel = int(grid.locate(point)[0])
     for k, points in enumerate((point, wall_behind, wall_behind)):
         scan = Scan(k, points, np.eye(4))
@@ -357,7 +445,11 @@ def test_a_hit_guards_the_voxels_around_it_in_its_scan_and_in_the_next_one() -> 
     ("second", "third", "dynamic"),
     [
         ([1, 2, 3], [2, 3, 4], (True, True)),  # it moves on
-        ([1, 2, 3, 4, 5, 6], [1, 2], (False, True)),  # for one scan it is joined with something larger
+        (
+            [1, 2, 3, 4, 5, 6],
+            [1, 2],
+            (False, True),
+        ),  # for one scan it is joined with something larger
         ([0], [0, 1, 2], (True, True)),  # for one scan most of it is hidden
         ([0], [0, 1], (True, False)),  # a third of it stays hidden: its track is lost
         ([3, 4, 5], [4, 5, 6], (False, False)),  # something else is next to it
@@ -366,7 +458,10 @@ def test_a_hit_guards_the_voxels_around_it_in_its_scan_and_in_the_next_one() -> 
 def test_objects_continue_those_with_which_they_share_most(
     back: bool, second: list[int], third: list[int], dynamic: tuple[bool, bool]
 ) -> None:
-    """A dynamic object moves to the columns 0 to 2 in the second scan; a static one is far away in all."""
+    """A dynamic object moves to the columns 0 to 2 in the second scan.
+
+    A static one is far away in all.
+    """
     scans = [[1, 2, 3], [0, 1, 2], second, third]
     objects = [each for scan in (scans[::-1] if back else scans) for each in (scan, [9])]
     at, found = np.cumsum([0, *map(len, objects)]), np.zeros(8, np.bool_)
@@ -396,8 +491,13 @@ def test_two_halves_of_an_object_continue_as_one(more: list[int], dynamic: bool)
 
 @pytest.mark.plain
 @pytest.mark.parametrize(("times", "dynamic"), [(1, False), (2, True)])
-def test_fragments_tell_only_about_objects_of_which_they_showed_as_much(times: int, dynamic: bool) -> None:
-    """Far away, two columns of something were seen to move; nearer, it grows into a car of four columns."""
+def test_fragments_tell_only_about_objects_of_which_they_showed_as_much(
+    times: int, dynamic: bool
+) -> None:
+    """Far away, two columns of something were seen to move.
+
+    Nearer, it grows into a car of four columns.
+    """
     scans = [[[0, 1]]] * times + [[[0, 1, 2]], [[0, 1, 2, 3]]]
     found = followed(scans, [True] * times + [False] * 2)
     assert found == [True] * times + [dynamic] * 2
@@ -406,7 +506,9 @@ def test_fragments_tell_only_about_objects_of_which_they_showed_as_much(times: i
 @pytest.mark.plain
 @pytest.mark.parametrize(("apart", "dynamic"), [(False, True), (True, False)])
 def test_errors_of_scans_apart_do_not_add_up(apart: bool, dynamic: bool) -> None:
-    """Two columns look dynamic in two scans, in turn or with such between them in which they do not."""
+    """Two columns look dynamic in two scans, in turn or with such between them in which they do
+    not.
+    """
     scans = [[[0, 1]]] * 4 + [[[0, 1, 2, 3]]]
     shown = [True, False, True, False] if apart else [True, True, False, False]
     assert followed(scans, [*shown, False]) == [True] * 4 + [dynamic]
@@ -424,8 +526,13 @@ def test_an_object_that_comes_into_view_is_followed_where_nothing_was_before(
 
 @pytest.mark.plain
 @pytest.mark.parametrize(("beside", "dynamic"), [([0], False), ([0, 3], False), ([0, 3, 4], True)])
-def test_columns_in_which_a_static_object_no_larger_stands_carry_no_track(beside: list[int], dynamic: bool) -> None:
-    """What passes a post, such as dust around it, may be gone in the next scan; a wall is not taken for it."""
+def test_columns_in_which_a_static_object_no_larger_stands_carry_no_track(
+    beside: list[int], dynamic: bool
+) -> None:
+    """What passes a post, such as dust around it, may be gone in the next scan.
+
+    A wall is not taken for it.
+    """
     scans = [[[0, 1], beside], [[0, 1], beside]]
     assert followed(scans, [True, False, False, False]) == [True, False, dynamic, False]
 
@@ -433,22 +540,38 @@ def test_columns_in_which_a_static_object_no_larger_stands_carry_no_track(beside
 @pytest.mark.plain
 def test_visits_of_an_object_whose_track_is_lost_for_a_scan_do_not_count_against_it() -> None:
     """A parked car is half hidden, so that it continues nothing, and comes into view."""
-    assert followed([[[0, 1]], [[0, 1]], [[1, 2, 3]], [[0, 1, 2, 3]]], [True, True, False, False])[2:] == [False, True]
+    assert followed([[[0, 1]], [[0, 1]], [[1, 2, 3]], [[0, 1, 2, 3]]], [True, True, False, False])[
+        2:
+    ] == [False, True]
 
 
 @pytest.mark.plain
 @pytest.mark.parametrize("arrives", [True, False])
-def test_parts_of_a_dynamic_object_are_followed_where_its_track_came_before_anything_else(arrives: bool) -> None:
-    """A car stops next to a post; later something in front hides its middle, and it is seen in two parts."""
+def test_parts_of_a_dynamic_object_are_followed_where_its_track_came_before_anything_else(
+    arrives: bool,
+) -> None:
+    """A car stops next to a post.
+
+    Later something in front hides its middle, and it is seen in two parts.
+    """
     arrival = [[[0, 1], [5, 6, 7, 8]], [[0, 1], [3, 4, 5, 6, 7]]] if arrives else [[[0, 1]]]
     scans = [*arrival, [[0, 1, 2, 3, 4, 5]], [[0, 1], [3, 4]], [[3, 4]]]
     before = [False, True] * 2 if arrives else [False]
-    assert followed(scans, [*before, True, False, False, False]) == [*before, True, False, arrives, arrives]
+    assert followed(scans, [*before, True, False, False, False]) == [
+        *before,
+        True,
+        False,
+        arrives,
+        arrives,
+    ]
 
 
 def test_points_too_high_for_movers_are_kept() -> None:
     places = np.linspace(-4, 4, 12)
-    scans = [seen(k, GROUND, wall(), block(7.0, y), block(7.0, y, low=4.8, high=5.6)) for k, y in enumerate(places)]
+    scans = [
+        seen(k, GROUND, wall(), block(7.0, y), block(7.0, y, low=4.8, high=5.6))
+        for k, y in enumerate(places)
+    ]
     codes = running(scans).label(scans[6]).reasons[len(GROUND) + len(wall()) + len(block(7.0, 0)) :]
     assert (codes == HIGH).all(), "even where they are seen clear"
 
@@ -476,10 +599,16 @@ def test_near_voxels_are_a_dilation(seed: int, times: int) -> None:
 @pytest.mark.plain
 def test_counts_stop_at_their_maximum() -> None:
     most = kernels.clearance.MOST
-    blocks, bits, near = np.zeros(1, np.int32), np.zeros((1, 16), np.int64), np.zeros((1, 8), np.uint64)
+    blocks, bits, near = (
+        np.zeros(1, np.int32),
+        np.zeros((1, 16), np.int64),
+        np.zeros((1, 8), np.uint64),
+    )
     bits[0, 0], bits[0, 8] = 0b101111, 0b10001  # 0 and 4 are hit, 0 to 3 and 5 are crossed
     near[0, 0] = 0b01100
-    hits, clear, grazed = (np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, most - 1))
+    hits, clear, grazed = (
+        np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, most - 1)
+    )
     hits[0, 0] = clear[0, 1] = grazed[0, 3] = most
     kernels.clearance.count(blocks, bits, near, hits, clear, grazed)
     assert hits[0, :6].tolist() == [most, most - 1, most - 1, most - 1, most, most - 1]
@@ -491,7 +620,11 @@ def test_counts_stop_at_their_maximum() -> None:
 @pytest.mark.parametrize("order", ["mixed", "runs", "empty"])
 def test_distinct_origins_in_any_order(order: str) -> None:
     random = np.random.default_rng(0)
-    which = {"mixed": random.integers(0, 3, 50), "runs": np.repeat([2, 0, 1, 0], 9), "empty": np.zeros(0, int)}[order]
+    which = {
+        "mixed": random.integers(0, 3, 50),
+        "runs": np.repeat([2, 0, 1, 0], 9),
+        "empty": np.zeros(0, int),
+    }[order]
     origins = random.normal(size=(3, 3))[which]
     places, rows = _distinct(origins)
     np.testing.assert_array_equal(places, np.unique(origins, axis=0))
@@ -509,8 +642,13 @@ def test_rays_begin_where_they_leave_those_to_voxels_near_their_end() -> None:
     random, scratch = np.random.default_rng(0), np.zeros((3, 8), np.int64)
     goals = random.permutation(3 * 512)[:300]
     index = np.stack([goals >> 6 & 7, goals >> 3 & 7, goals & 7], 1)
-    cubes = [[(v >> 9, *at) for v, at in zip(goals, (index >> size).tolist(), strict=True)] for size in (1, 2, 3)]
-    begins = [(0.0, 0.25, 0.5, 1.0)[sum(cube[k] in cube[:k] for cube in cubes)] for k in range(len(goals))]
+    cubes = [
+        [(v >> 9, *at) for v, at in zip(goals, (index >> size).tolist(), strict=True)]
+        for size in (1, 2, 3)
+    ]
+    begins = [
+        (0.0, 0.25, 0.5, 1.0)[sum(cube[k] in cube[:k] for cube in cubes)] for k in range(len(goals))
+    ]
     assert kernels.clearance.begins(goals, scratch).tolist() == begins
     assert set(begins) == {0.0, 0.25, 0.5, 1.0}
     assert not scratch.any()
@@ -532,7 +670,9 @@ def test_few_origins_cast_the_same_rays_as_many() -> None:
     np.testing.assert_array_equal(*marks)
 
 
-def joined(points: np.ndarray, chosen: np.ndarray, sensor: np.ndarray, voxel: float, angle: float) -> np.ndarray:
+def joined(
+    points: np.ndarray, chosen: np.ndarray, sensor: np.ndarray, voxel: float, angle: float
+) -> np.ndarray:
     objects, keys, wider = kernels.clusters.cells_of(points, chosen, sensor, voxel, angle)
     order = np.argsort(keys)
     count = kernels.clusters.connect(objects, order, keys[order], wider)
@@ -561,7 +701,9 @@ def test_objects_are_connected_components(seed: int, voxel: float, angle: float)
             edges = voxel * np.array([2**of, 2**of, 8])
             cells.append((row, of, *np.floor(points[row].astype(np.float64) / edges)))
     found = np.array(cells).reshape(-1, 5)
-    adjacent = (abs(found[:, None, 2:] - found[:, 2:]) <= 1).all(2) & (found[:, None, 1] == found[:, 1])
+    adjacent = (abs(found[:, None, 2:] - found[:, 2:]) <= 1).all(2) & (
+        found[:, None, 1] == found[:, 1]
+    )
     _, names = connected_components(adjacent | (found[:, None, 0] == found[:, 0]))
     pairs = set(zip(objects[found[:, 0].astype(int)].tolist(), names.tolist(), strict=True))
     assert len(pairs) == len({mine for mine, _ in pairs}) == len({name for _, name in pairs})
@@ -586,7 +728,9 @@ def test_mean_angle_between_rays(sensor: Sensor, degrees: float) -> None:
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize(("distance", "apart", "count"), [(3, 0.25, 2), (3, 0.09, 1), (30, 0.35, 1), (30, 0.9, 2)])
+@pytest.mark.parametrize(
+    ("distance", "apart", "count"), [(3, 0.25, 2), (3, 0.09, 1), (30, 0.35, 1), (30, 0.9, 2)]
+)
 def test_objects_are_joined_across_an_angle(distance: float, apart: float, count: int) -> None:
     points = np.array([[distance, 0, 1], [distance, apart, 1]], np.float32) + np.float32(0.01)
     assert joined(points, np.full(2, True), np.zeros(2), 0.1, 0.025).max() + 1 == count
@@ -597,8 +741,12 @@ def test_objects_are_joined_across_an_angle(distance: float, apart: float, count
 def test_objects_do_not_end_where_cells_become_wider(angle: float) -> None:
     along = np.arange(0.5, 80, 0.09)
     for direction in np.radians([0, 30, 45, 200]):
-        line = np.stack([along * np.cos(direction), along * np.sin(direction), np.ones_like(along)], 1)
-        assert not joined(line.astype(np.float32), np.full(len(line), True), np.zeros(2), 0.1, angle).any()
+        line = np.stack(
+            [along * np.cos(direction), along * np.sin(direction), np.ones_like(along)], 1
+        )
+        assert not joined(
+            line.astype(np.float32), np.full(len(line), True), np.zeros(2), 0.1, angle
+        ).any()
 
 
 def test_labels_are_decided_once_and_repeated() -> None:

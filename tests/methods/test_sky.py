@@ -1,4 +1,7 @@
-"""Rays into the sky, where a scan has no return: their image, their origins, and what SeeThrough removes with them."""
+"""Rays into the sky, where a scan has no return.
+
+Their image, their origins, and what SeeThrough removes with them.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +27,13 @@ SENSOR = Sensor(rings=65, elevation=(-32.0, 32.0))
 
 def directions(low: float = -32.0, high: float = 32.0) -> np.ndarray:
     """Unit vectors through the centre of each pixel between two elevations."""
-    azimuth, elevation = np.radians(np.meshgrid(np.arange(-179.5, 180.0), np.arange(low, high + 0.1)))
+    azimuth, elevation = np.radians(
+        np.meshgrid(np.arange(-179.5, 180.0), np.arange(low, high + 0.1))
+    )
     flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 2).reshape(-1, 3)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 2).reshape(
+        -1, 3
+    )
 
 
 def ground(x: float = 0.0) -> np.ndarray:
@@ -40,7 +47,9 @@ def truck(y: float) -> np.ndarray:
     rays = directions()
     rays = rays[rays[:, 0] > 0.1]
     points = rays * (8.0 / rays[:, :1]) + [0.0, 0.0, 2.0]
-    return points[(points[:, 1] > y) & (points[:, 1] < y + 3) & (points[:, 2] > 0.3) & (points[:, 2] < 4)]
+    return points[
+        (points[:, 1] > y) & (points[:, 1] < y + 3) & (points[:, 2] > 0.3) & (points[:, 2] < 4)
+    ]
 
 
 def above(points: np.ndarray, z: float) -> np.ndarray:
@@ -52,8 +61,12 @@ def scan(frame: int, *things: np.ndarray) -> Scan:
 
 
 @pytest.mark.parametrize("sensor", [SENSOR, None])
-def test_what_is_in_front_of_the_sky_alone_is_removed_if_the_field_of_view_is_known(sensor: Sensor | None) -> None:
-    scans = [scan(k, ground(), above(truck(y), 2.2)) for k, y in enumerate(np.linspace(-9.0, 6.0, 12))]
+def test_what_is_in_front_of_the_sky_alone_is_removed_if_the_field_of_view_is_known(
+    sensor: Sensor | None,
+) -> None:
+    scans = [
+        scan(k, ground(), above(truck(y), 2.2)) for k, y in enumerate(np.linspace(-9.0, 6.0, 12))
+    ]
     method = SeeThrough(SeeThroughParams())
     method.begin(Context(Extent.of(*scans), sensor or Sensor()))
     for each in scans:
@@ -65,9 +78,14 @@ def test_what_is_in_front_of_the_sky_alone_is_removed_if_the_field_of_view_is_kn
 
 
 def test_rays_into_the_sky_cross_voxels_but_hit_none() -> None:
-    """Next to a wall without sky above it, they are as long as the points around the hole are far."""
+    """Next to a wall without sky above it, they are as long as the points around the
+    hole are far.
+    """
     seen = scan(0, ground(), truck(-1.5))
-    grid = [ClearGrid(Extent.of(seen, scan(1, truck(-8.0))), 0.1, sensor=sensor) for sensor in (None, SENSOR)]
+    grid = [
+        ClearGrid(Extent.of(seen, scan(1, truck(-8.0))), 0.1, sensor=sensor)
+        for sensor in (None, SENSOR)
+    ]
     marks = [each.mark_once(seen, each.locate(seen.points)) for each in grid]
     hits, crossed = ([voxels_of(of.blocks, of.bits[:, k : k + 8]) for of in marks] for k in (8, 0))
     assert set(hits[0]) == set(hits[1])
@@ -85,14 +103,22 @@ def test_each_sensor_of_a_merged_scan_has_its_own_sky() -> None:
     assert [each.position.tolist() for each in found] == [[-3.0, 0.0, 2.0], [3.0, 0.0, 2.0]]
     for each, part in zip(found, parts, strict=True):
         np.testing.assert_array_equal(each.points, part.astype(np.float32))
-    moving = Scan(0, merged.points, merged.T_world_sensor, origins=np.linspace([0, 0, 2], [1, 0, 2], len(merged)))
+    moving = Scan(
+        0,
+        merged.points,
+        merged.T_world_sensor,
+        origins=np.linspace([0, 0, 2], [1, 0, 2], len(merged)),
+    )
     assert _by_sensor(moving, *_distinct(moving.origins)) == [moving]
 
 
 def test_rays_into_the_sky_end_before_the_points_next_to_it() -> None:
     image = sensor_image(SENSOR, 80.0)
     assert image is not None
-    depth, hole = np.full((image.rows, image.columns), 200, np.uint8), np.zeros((image.rows, image.columns), np.uint8)
+    depth, hole = (
+        np.full((image.rows, image.columns), 200, np.uint8),
+        np.zeros((image.rows, image.columns), np.uint8),
+    )
     depth[:40, 100:120], hole[:40, 100:120] = 255, 255
     depth[10:20, 99] = 20  # a sign next to the sky
     filled, chosen = image.sky(depth, hole)
@@ -113,7 +139,9 @@ def test_rays_into_the_sky_end_before_the_points_next_to_it() -> None:
         (Sensor(), 0, 0),
     ],
 )
-def test_pixels_are_a_degree_high_or_as_high_as_points_allow(sensor: Sensor, rows: int, around: int) -> None:
+def test_pixels_are_a_degree_high_or_as_high_as_points_allow(
+    sensor: Sensor, rows: int, around: int
+) -> None:
     """No hole is deeper than the points up to one ring away."""
     image = sensor_image(sensor, 80.0)
     assert ((image.rows, image.around) if image else (0, 0)) == (rows, around)

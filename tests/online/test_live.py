@@ -30,7 +30,9 @@ def drive(frames: int, step: float, start: float = 0.0) -> list[Scan]:
     """A sensor that drives along a corridor: a floor and two walls, with few rays."""
     angles = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     floor = np.stack([6 * np.cos(angles), 2 * np.sin(angles), np.full(120, -1.5)], 1)
-    walls = np.stack([8 * np.cos(angles), np.sign(np.sin(angles)) * 2.5, 1.5 * np.sin(7 * angles)], 1)
+    walls = np.stack(
+        [8 * np.cos(angles), np.sign(np.sin(angles)) * 2.5, 1.5 * np.sin(7 * angles)], 1
+    )
     scans = []
     for frame in range(frames):
         T = turn(0.0, start + frame * step, 0.3, 1.5)
@@ -187,7 +189,9 @@ def test_methods_that_need_the_map_say_why_not(method: str) -> None:
 
 
 def test_a_map_of_no_other_scans_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"keep = 0: beautymap compares each scan with the last ones\. Give"):
+    with pytest.raises(
+        UsageError, match=r"keep = 0: beautymap compares each scan with the last ones\. Give"
+    ):
         dv.live("beautymap", keep=0)
 
 
@@ -199,7 +203,10 @@ def test_beautymap_begins_anew_before_the_end_of_its_columns() -> None:
 
 def test_all_other_methods_run_live() -> None:
     methods = registry.loadable("methods")
-    assert {name for name, kind in methods.items() if not issubclass(kind, Live)} == {"erasor", "removert"}
+    assert {name for name, kind in methods.items() if not issubclass(kind, Live)} == {
+        "erasor",
+        "removert",
+    }
 
 
 @pytest.mark.parametrize(
@@ -215,9 +222,13 @@ def test_wrong_arrays_are_refused(points: object, pose: object, message: str) ->
         session("dufomap").update(points, pose)  # type: ignore[arg-type]
 
 
-def test_kernels_that_need_dynamic_points_are_compiled_before_the_first_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_that_need_dynamic_points_are_compiled_before_the_first_scan(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     calls = []
     grow = kernels.clusters.grow
-    monkeypatch.setattr(kernels.clusters, "grow", lambda *given: calls.append(grow(*given)) or calls[-1])
+    monkeypatch.setattr(
+        kernels.clusters, "grow", lambda *given: calls.append(grow(*given)) or calls[-1]
+    )
     dv.live("dynablox", sensor="hdl64e", reach=30)
     assert len(calls) > 0, "clusters grow only from points in ever-free space"

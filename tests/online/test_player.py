@@ -1,4 +1,7 @@
-"""Playing a sequence live: when scans are dropped, and what the report and the rolling recording contain."""
+"""Playing a sequence live.
+
+When scans are dropped, and what the report and the rolling recording contain.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,10 @@ class Slow:
 
 def scans(count: int, stamps: bool = True) -> list[Scan]:
     points = np.ones((4, 3), np.float32)
-    return [Scan(n, points, np.eye(4), 10**18 + 100_000_000 * n if stamps else None) for n in range(count)]
+    return [
+        Scan(n, points, np.eye(4), 10**18 + 100_000_000 * n if stamps else None)
+        for n in range(count)
+    ]
 
 
 @pytest.mark.parametrize("stamps", [True, False])
@@ -91,18 +97,29 @@ def test_time_stands_still_while_a_slow_source_is_read() -> None:
     session: Any = Slow(clock, [0.05])
     assert play(session, simulation(0.7), PlayReport("slow", "six", 1.0), clock=clock).dropped == []
     late: Any = Slow(clock, [0.25])
-    assert play(late, simulation(0.7), PlayReport("slow", "six", 1.0), clock=clock).dropped == [1, 3, 4]
+    assert play(late, simulation(0.7), PlayReport("slow", "six", 1.0), clock=clock).dropped == [
+        1,
+        3,
+        4,
+    ]
 
 
 def test_a_report_without_scans_has_no_latencies() -> None:
-    report = play(SimpleNamespace(restarts=0), [], PlayReport("none", "empty", 1.0), clock=Simulated())  # type: ignore[arg-type]
+    report = play(
+        SimpleNamespace(restarts=0), [], PlayReport("none", "empty", 1.0), clock=Simulated()
+    )  # type: ignore[arg-type]
     assert json.loads(json.dumps(report.to_dict()))["labelled"] == 0
     assert "worst" not in str(report)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"rate": -1.0}, "rate"), ({"minutes": 0.0}, "minutes"), ({"port": 9090}, "serve"), ({"reach": 0.1}, "reach")],
+    [
+        ({"rate": -1.0}, "rate"),
+        ({"minutes": 0.0}, "minutes"),
+        ({"port": 9090}, "serve"),
+        ({"reach": 0.1}, "reach"),
+    ],
 )
 def test_invalid_options_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
@@ -111,11 +128,16 @@ def test_invalid_options_are_refused(options: dict[str, Any], message: str) -> N
 
 def test_without_a_screen_a_browser_is_suggested(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dynaviz.views.viewer.has_screen", lambda: False)
-    with pytest.raises(UsageError, match=r"--view: there is no screen to open a viewer on\. Use --serve for a browser"):
+    with pytest.raises(
+        UsageError,
+        match=r"--view: there is no screen to open a viewer on\. Use --serve for a browser",
+    ):
         play_live(InMemory(crossing(1)), "octomap", view=True)
 
 
-def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_is_played_and_its_last_minutes_are_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from rerun.chunk import RrdReader
 
     from dynaviz.views import live as recording
@@ -128,9 +150,18 @@ def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, mon
     files = sorted((tmp_path / "live").glob("*.rrd"))
     assert [path.stem for path in files] == ["live-000002", "live-000003", "live-000004"]
     reader = RrdReader(files[-1])
-    assert [each.application_id for each in reader.recordings()] == ["dynaviz live dufomap"], "for its own layout"
+    assert [each.application_id for each in reader.recordings()] == ["dynaviz live dufomap"], (
+        "for its own layout"
+    )
     entities = {str(chunk.entity_path) for chunk in reader.stream()}
-    shown = {"/world/scan", "/world/removed_now", "/world/removed_lately", "/world/map", "/world/dufomap/void", "/log"}
+    shown = {
+        "/world/scan",
+        "/world/removed_now",
+        "/world/removed_lately",
+        "/world/map",
+        "/world/dufomap/void",
+        "/log",
+    }
     assert {*shown, "/dufomap/keys/void"} <= entities
     online = dv.run("dufomap", sequence, online=True)
     assert report.dynamic == sum(int(online.labels[frame].sum()) for frame in range(5))
@@ -153,8 +184,12 @@ def test_an_interrupted_play_reports_what_was_played() -> None:
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
-def test_a_stopped_session_reports_what_was_played(stop: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(session: object, scans: object, report: PlayReport, *args: object, **options: object) -> None:
+def test_a_stopped_session_reports_what_was_played(
+    stop: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(
+        session: object, scans: object, report: PlayReport, *args: object, **options: object
+    ) -> None:
         report.latencies.append(0.02)
         raise stop
 
@@ -185,18 +220,26 @@ def test_the_page_is_served_until_the_report_is_given(monkeypatch: pytest.Monkey
         assert viewer.listens(page)
         assert viewer.listens(page + 1)
 
-    page = next(port for port in range(20_000, 30_000, 10) if not viewer.listens(port) and not viewer.listens(port + 1))
+    page = next(
+        port
+        for port in range(20_000, 30_000, 10)
+        if not viewer.listens(port) and not viewer.listens(port + 1)
+    )
     monkeypatch.setattr(viewer, "has_screen", lambda: False)
     scans_, options = InMemory(crossing(2)), {"rate": 0, "serve": True, "port": page}
     play_live(scans_, "octomap", **options, announce=announced.append, finished=finished)
-    assert announced[0].startswith(f"Watch it in a browser on this machine at http://127.0.0.1:{page}/?theme=dark&url=")
+    assert announced[0].startswith(
+        f"Watch it in a browser on this machine at http://127.0.0.1:{page}/?theme=dark&url="
+    )
     assert announced[1].startswith(f"From another machine, run 'ssh -L {page}:127.0.0.1:{page} ")
     assert not viewer.listens(page)
     for port in (page, page + 1):
         with socket.socket() as taken:
             taken.bind((viewer.HOME, port))
             taken.listen()
-            with pytest.raises(UsageError, match=rf"--port {page}: port {port} cannot be used .* Give another one"):
+            with pytest.raises(
+                UsageError, match=rf"--port {page}: port {port} cannot be used .* Give another one"
+            ):
                 play_live(scans_, "octomap", **options)
 
 
@@ -205,7 +248,9 @@ def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
     from dynaviz.views.read.repair import repaired
     from dynaviz.views.read.shot import shot
 
-    play_live(InMemory(crossing(5)), "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=1.0)
+    play_live(
+        InMemory(crossing(5)), "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=1.0
+    )
     whole = tmp_path / "live" / "live-000000.rrd"
     assert (AnyRecording(whole).kind, AnyRecording(whole).span) == ("live", range(5))
     killed = tmp_path / "live-000001.rrd"
@@ -214,8 +259,12 @@ def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
         AnyRecording(killed)
     with pytest.warns(UserWarning, match=r"is incomplete.* Saved (\d) of \1 frames"):
         salvaged = repaired(killed)
-    assert (AnyRecording(salvaged).kind, len(AnyRecording(salvaged).span)) in {("live", n) for n in range(1, 6)}
+    assert (AnyRecording(salvaged).kind, len(AnyRecording(salvaged).span)) in {
+        ("live", n) for n in range(1, 6)
+    }
     with pytest.raises(DataError, match="contains a live session, not a run"):
         RunRecording(salvaged)
-    with pytest.raises(UsageError, match=r"contains a live session, which has no cases\. Give --frame"):
+    with pytest.raises(
+        UsageError, match=r"contains a live session, which has no cases\. Give --frame"
+    ):
         shot(salvaged, tmp_path / "case.png", case=1)

@@ -29,10 +29,15 @@ def messages() -> ModuleType:
     return module
 
 
-def cloud(tmp_path: Path, order: str, height: int = 1, row_gap: int = 0) -> tuple[object, np.ndarray, BagWriter]:
+def cloud(
+    tmp_path: Path, order: str, height: int = 1, row_gap: int = 0
+) -> tuple[object, np.ndarray, BagWriter]:
     """A cloud message of ten points with intensities, as a bag returns it."""
     xyz = np.random.default_rng(0).normal(size=(10, 3)).astype(np.float32)
-    columns = {"intensity": np.arange(10, dtype=np.uint16), **{n: xyz[:, k] for k, n in enumerate("xyz")}}
+    columns = {
+        "intensity": np.arange(10, dtype=np.uint16),
+        **{n: xyz[:, k] for k, n in enumerate("xyz")},
+    }
     with BagWriter(tmp_path / "bag", "mcap") as bag:
         bag.cloud(0.0, columns, order=order, before=4, gap=2, height=height, row_gap=row_gap)
     from rosbags.highlevel import AnyReader
@@ -64,10 +69,14 @@ def test_points_are_read_and_labels_are_added(
 def test_poses_and_stamps(messages: ModuleType, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", "mcap") as bag:
         quaternion = Rotation.from_euler("xyz", [0.1, -0.4, 2.0]).as_quat()
-        rotation = bag.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", 2 * quaternion, strict=True)))
+        rotation = bag.make(
+            "geometry_msgs/msg/Quaternion", **dict(zip("xyzw", 2 * quaternion, strict=True))
+        )
         translation = bag.make("geometry_msgs/msg/Vector3", x=1.0, y=2.0, z=3.0)
         T = messages.pose_of(translation, rotation)
-        np.testing.assert_allclose(T[:3, :3], Rotation.from_quat(quaternion).as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(
+            T[:3, :3], Rotation.from_quat(quaternion).as_matrix(), atol=1e-12
+        )
         assert T[:3, 3].tolist() == [1, 2, 3]
         assert messages.stamp_of(bag.header(1.5, "lidar")) == 1_700_000_001_500_000_000
 
@@ -100,12 +109,24 @@ class Anything:
         self.published.append(message)
 
 
-def test_the_node_labels_a_cloud(tmp_path: Path, messages: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_node_labels_a_cloud(
+    tmp_path: Path, messages: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
     message, xyz, bag = cloud(tmp_path, "<")
-    for name in ("rclpy", "rclpy.node", "rclpy.qos", "rclpy.time", "sensor_msgs.msg", "std_msgs.msg", "tf2_ros"):
+    for name in (
+        "rclpy",
+        "rclpy.node",
+        "rclpy.qos",
+        "rclpy.time",
+        "sensor_msgs.msg",
+        "std_msgs.msg",
+        "tf2_ros",
+    ):
         monkeypatch.setitem(sys.modules, name, Stub(name))
     monkeypatch.setattr(sys.modules["tf2_ros"], "TransformException", ValueError, raising=False)
-    monkeypatch.setattr(sys.modules["sensor_msgs.msg"], "PointField", bag.store.types["sensor_msgs/msg/PointField"])
+    monkeypatch.setattr(
+        sys.modules["sensor_msgs.msg"], "PointField", bag.store.types["sensor_msgs/msg/PointField"]
+    )
     monkeypatch.setitem(sys.modules, "cloud_messages", messages)
     spec = importlib.util.spec_from_file_location("live_node", EXAMPLE / "live_node.py")
     assert spec is not None

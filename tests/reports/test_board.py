@@ -1,4 +1,6 @@
-"""Boards: digests and scores of entries, runs whose labels or sequence changed, and a page that mixes nothing."""
+"""Boards: digests and scores of entries, runs whose labels or sequence changed, and a page that
+mixes nothing.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def folder(tmp_path: Path, hall: InMemory) -> Path:
 
 def guess(sequence: Sequence, folder: Path) -> None:
     """Run the test's method with the metrics that a board repeats."""
-    metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "voxelwise"))
+    metrics = tuple(
+        registry.load("metrics", name)(Guess.info) for name in ("confusion", "voxelwise")
+    )
     run_into(folder, sequence, recorded=False, metrics=metrics)
 
 
@@ -54,7 +58,9 @@ def edit(path: Path, change: Callable[[Any], None]) -> None:
     path.write_text(json.dumps(plain))
 
 
-def test_entries_have_digests_and_the_scores_of_every_protocol(folder: Path, hall: InMemory) -> None:
+def test_entries_have_digests_and_the_scores_of_every_protocol(
+    folder: Path, hall: InMemory
+) -> None:
     written = write_board(folder, folder / "site", [hall])
     board = read_board(folder / "site/board.json")
     assert board == written.board
@@ -83,12 +89,17 @@ def test_known_scores_are_taken_over_by_digest(folder: Path, hall: InMemory) -> 
 
 def test_runs_without_their_sequence_keep_their_own_scores(folder: Path) -> None:
     written = write_board(folder, folder / "site")
-    assert {entry.remark for entry in written.board.entries} == {"the sequence was not found; give it with --sequence"}
+    assert {entry.remark for entry in written.board.entries} == {
+        "the sequence was not found; give it with --sequence"
+    }
     rows = {row[0]["text"]: row for row in Page(written.page.read_text()).body("main-1")}
     metrics = Result.load(folder / "end/result.json").metrics
     (row,) = rows.values()
     assert "not found" in row[0]["text"]
-    assert row[1]["text"] in {f"{metrics['AA']:.2f}", f"{Result.load(folder / 'whole/result.json').metrics['AA']:.2f}"}
+    assert row[1]["text"] in {
+        f"{metrics['AA']:.2f}",
+        f"{Result.load(folder / 'whole/result.json').metrics['AA']:.2f}",
+    }
     assert {cell["text"] for cell in row[2:]} == {"n/a"}
 
 
@@ -105,13 +116,17 @@ def flip_a_label(folder: Path) -> None:
         (flip_a_label, "labels.npz differs from the labels that were scored"),
         (lambda folder: (folder / "end/labels.npz").unlink(), "labels.npz is missing"),
         (
-            lambda folder: edit(folder / "end/result.json", lambda r: r["sequence"].update(digest="0")),
+            lambda folder: edit(
+                folder / "end/result.json", lambda r: r["sequence"].update(digest="0")
+            ),
             "the sequence room differs from that of the run",
         ),
     ],
     ids=["label", "no labels", "digest"],
 )
-def test_changed_runs_are_not_scored(folder: Path, hall: InMemory, change: Callable[[Path], None], remark: str) -> None:
+def test_changed_runs_are_not_scored(
+    folder: Path, hall: InMemory, change: Callable[[Path], None], remark: str
+) -> None:
     change(folder)
     board = write_board(folder, folder / "site", [hall]).board
     assert {entry.path: (entry.remark, bool(entry.protocols)) for entry in board.entries} == {
@@ -121,7 +136,10 @@ def test_changed_runs_are_not_scored(folder: Path, hall: InMemory, change: Calla
 
 
 def test_labels_of_other_points_are_not_scored(folder: Path) -> None:
-    for other, problem in ((room(3, 200), "has 300 labels for frame"), (room(2, 300), "labels for 3 frames, of which")):
+    for other, problem in (
+        (room(3, 200), "has 300 labels for frame"),
+        (room(2, 300), "labels for 3 frames, of which"),
+    ):
         board = write_board(folder, folder / "site", [other]).board
         assert any(problem in entry.remark for entry in board.entries)
 
@@ -132,7 +150,12 @@ def made_study(tmp_path: Path, *results: Result, **scores: dict[str, float]) -> 
         each.save(tmp_path / f"{number:02}" / "result.json")
     runs = collect([tmp_path])
     made = {name: ProtocolScores(values) for name, values in scores.items()}
-    return Study(runs, tmp_path, protocols=registry.loadable("protocols"), scores={run.file: made for run in runs})
+    return Study(
+        runs,
+        tmp_path,
+        protocols=registry.loadable("protocols"),
+        scores={run.file: made for run in runs},
+    )
 
 
 KITTI = {"name": "kitti_00", "digest": "k", "frames": 141, "points": 17362230}
@@ -140,11 +163,23 @@ KITTI = {"name": "kitti_00", "digest": "k", "frames": 141, "points": 17362230}
 
 def test_published_figures_are_never_mixed_with_measured_ones(tmp_path: Path) -> None:
     study = made_study(
-        tmp_path, result("dufomap", KITTI), result("erasor", KITTI), benchmark={"AA": 12.34, "SA": 23.45, "DA": 34.56}
+        tmp_path,
+        result("dufomap", KITTI),
+        result("erasor", KITTI),
+        benchmark={"AA": 12.34, "SA": 23.45, "DA": 34.56},
     )
     page = Page(registry.load("reports", "html")(study))
     rows = {row[0]["text"]: [cell["text"] for cell in row] for row in page.body("published-1")}
-    assert rows["DUFOMap"][1:9] == ["97.96", "98.72", "98.34", "98.34", "23.45", "34.56", "12.34", "n/a"]
+    assert rows["DUFOMap"][1:9] == [
+        "97.96",
+        "98.72",
+        "98.34",
+        "98.34",
+        "23.45",
+        "34.56",
+        "12.34",
+        "n/a",
+    ]
     assert rows["DOR fusion"][5:9] == ["–"] * 4
     assert [cell["text"] for cell in page.tables["published-1"][0][1:3]] == [
         "published [%]",
@@ -152,7 +187,9 @@ def test_published_figures_are_never_mixed_with_measured_ones(tmp_path: Path) ->
     ]
     published = {row[k] for row in rows.values() for k in range(1, 5)}
     elsewhere = {name: table for name, table in page.tables.items() if name != "published-1"}
-    assert not published & {cell["text"] for table in elsewhere.values() for row in table for cell in row}
+    assert not published & {
+        cell["text"] for table in elsewhere.values() for row in table for cell in row
+    }
 
 
 @pytest.mark.slow
@@ -161,14 +198,29 @@ def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> Non
     runs += [result("removert", "hall"), result("map", "hall", scoring="nn")]
     counts = {"TP": 30, "FP": 10, "FN": 20}
     study = made_study(tmp_path, *runs)
-    scores = {run.file: {"semantickitti_mos": ProtocolScores({"IoU": 50.0}, counts)} for run in study.runs}
-    text = registry.load("reports", "html")(Study(study.runs, tmp_path, protocols=study.protocols, scores=scores))
+    scores = {
+        run.file: {"semantickitti_mos": ProtocolScores({"IoU": 50.0}, counts)} for run in study.runs
+    }
+    text = registry.load("reports", "html")(
+        Study(study.runs, tmp_path, protocols=study.protocols, scores=scores)
+    )
     page = Page(text)
-    assert not any(name.startswith("across") and name.endswith("nn") for name in page.tables)  # a single sequence
-    rows = {row[0]["text"]: [cell["text"] for cell in row[1:]] for row in page.body("across-semantickitti_mos-mask")}
-    assert rows == {"octomap": ["50.00"] * 3, "erasor": ["50.00"] * 3, "removert": ["–", "50.00", "–"]} or rows == {
-        "octomap": ["50.00"] * 3, "erasor": ["50.00"] * 3, "removert": ["50.00", "–", "–"],
-    }  # fmt: skip
+    assert not any(
+        name.startswith("across") and name.endswith("nn") for name in page.tables
+    )  # a single sequence
+    rows = {
+        row[0]["text"]: [cell["text"] for cell in row[1:]]
+        for row in page.body("across-semantickitti_mos-mask")
+    }
+    assert rows == {
+        "octomap": ["50.00"] * 3,
+        "erasor": ["50.00"] * 3,
+        "removert": ["–", "50.00", "–"],
+    } or rows == {
+        "octomap": ["50.00"] * 3,
+        "erasor": ["50.00"] * 3,
+        "removert": ["50.00", "–", "–"],
+    }
     assert "In the split val of SemanticKITTI-MOS." in page.text
     assert len(page.ids) == len(set(page.ids))
     assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)

@@ -64,10 +64,16 @@ def bag_without_poses(folder: Path) -> Path:
 
 
 def merged_map(folder: Path) -> tuple[Path, Path]:
-    path, rows = folder / "survey.ply", ["stamp [ns]," + ",".join(f"T{r}{c}" for r in range(3) for c in range(4))]
+    path, rows = (
+        folder / "survey.ply",
+        ["stamp [ns]," + ",".join(f"T{r}{c}" for r in range(3) for c in range(4))],
+    )
     with open_map(path, {"gps_time": np.dtype("f8")}, np.zeros(3)) as append:
         for k, scan in enumerate(SCANS):
-            append(scan.points.astype(np.float64), {"gps_time": START / 1e9 + 0.1 * k + np.linspace(0, 0.09, RAYS)})
+            append(
+                scan.points.astype(np.float64),
+                {"gps_time": START / 1e9 + 0.1 * k + np.linspace(0, 0.09, RAYS)},
+            )
             stamp = START + round(1e8 * k)
             rows.append(f"{stamp},{','.join(map(repr, scan.T_world_sensor[:3].ravel().tolist()))}")
     rows.append(f"{START + FRAMES * 10**8},{','.join(map(repr, POSES[-1, :3].ravel().tolist()))}")
@@ -82,19 +88,53 @@ def stored(folder: Path) -> Path:
 
 
 def by_command(run: Command, folder: Path) -> Path:
-    words = ("run", "octomap", stored(folder), "--frames", "1:", "--set", SETTINGS[0], "-o", folder / "out")
+    words = (
+        "run",
+        "octomap",
+        stored(folder),
+        "--frames",
+        "1:",
+        "--set",
+        SETTINGS[0],
+        "-o",
+        folder / "out",
+    )
     assert run(*words)[0] == 0
     return folder / "out"
 
 
 def cleaned_bag(run: Command, folder: Path) -> Path:
-    assert run("clean", bag_without_poses(folder), "-m", "octomap", "-o", folder / "map.pcd", "--accept")[0] == 0
+    assert (
+        run(
+            "clean",
+            bag_without_poses(folder),
+            "-m",
+            "octomap",
+            "-o",
+            folder / "map.pcd",
+            "--accept",
+        )[0]
+        == 0
+    )
     return folder / "map_run"
 
 
 def cleaned_map(run: Command, folder: Path) -> Path:
     path, trajectory = merged_map(folder)
-    assert run("clean", path, "--poses", trajectory, "-m", "octomap", "-o", folder / "map.pcd", "--accept")[0] == 0
+    assert (
+        run(
+            "clean",
+            path,
+            "--poses",
+            trajectory,
+            "-m",
+            "octomap",
+            "-o",
+            folder / "map.pcd",
+            "--accept",
+        )[0]
+        == 0
+    )
     return folder / "map_run"
 
 
@@ -118,7 +158,14 @@ def cleaned_scans(run: Command, folder: Path) -> Path:
 
 
 def from_python(run: Command, folder: Path) -> Path:
-    dv.run("octomap", stored(folder), out=folder / "out", frames=":4", stride=2, settings={"resolution": 0.4})
+    dv.run(
+        "octomap",
+        stored(folder),
+        out=folder / "out",
+        frames=":4",
+        stride=2,
+        settings={"resolution": 0.4},
+    )
     return folder / "out"
 
 
@@ -133,7 +180,10 @@ def from_arrays(run: Command, folder: Path) -> Result:
 
 
 def of_a_bench(run: Command, folder: Path) -> Path:
-    plan = {"methods": ["octomap"], "sequences": [{"path": str(stored(folder)), "name": "named", "stride": 2}]}
+    plan = {
+        "methods": ["octomap"],
+        "sequences": [{"path": str(stored(folder)), "name": "named", "stride": 2}],
+    }
     dv.bench({**plan, "record": "none"}, folder / "bench")
     return folder / "bench/named/octomap"
 
@@ -153,12 +203,25 @@ def refined(run: Command, folder: Path) -> Path:
 
 
 def simulated(run: Command, folder: Path) -> Path:
-    assert run("run", "octomap", "simulate:demo:2:7", "-o", folder / "out", "--record", "none")[0] == 0
+    assert (
+        run("run", "octomap", "simulate:demo:2:7", "-o", folder / "out", "--record", "none")[0] == 0
+    )
     return folder / "out"
 
 
-KINDS = (by_command, cleaned_bag, cleaned_map, cleaned_scans, from_python, from_a_slice, from_arrays, of_a_bench,
-         on_tiles, refined, simulated)  # fmt: skip
+KINDS = (
+    by_command,
+    cleaned_bag,
+    cleaned_map,
+    cleaned_scans,
+    from_python,
+    from_a_slice,
+    from_arrays,
+    of_a_bench,
+    on_tiles,
+    refined,
+    simulated,
+)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -170,7 +233,10 @@ def test_the_ledger_gives_the_stored_label(
     found = open_run(kind(run_command, tmp_path))
     monkeypatch.chdir("/")  # sources are found again from anywhere
     labels, random = found.labels, np.random.default_rng(3)
-    asked = {frame: sorted({int(p) for p in random.integers(len(labels[frame]), size=ASKED)}) for frame in (0, 1)}
+    asked = {
+        frame: sorted({int(p) for p in random.integers(len(labels[frame]), size=ASKED)})
+        for frame in (0, 1)
+    }
     answers = explain(found, asked)
     for frame, rows in asked.items():
         for row, why in zip(rows, answers[frame], strict=True):
@@ -191,7 +257,9 @@ def test_data_that_moved(run_command: Command, tmp_path: Path) -> None:
 def test_arrays_of_another_process(tmp_path: Path) -> None:
     result = dv.run("octomap", list(zip(LOCAL, POSES, strict=True)), out=tmp_path)
     assert dv.why(result, 0, 3).ledger.searched == FRAMES
-    with pytest.raises(UsageError, match=r"made from data in memory.*call dynaviz\.explore\(result\) there"):
+    with pytest.raises(
+        UsageError, match=r"made from data in memory.*call dynaviz\.explore\(result\) there"
+    ):
         dv.why(tmp_path, 0, 3)
     again = dv.open(list(zip(LOCAL, POSES, strict=True)))
     assert dv.why(tmp_path, 0, 3, sequence=again).ledger.searched == FRAMES
@@ -204,13 +272,19 @@ def test_the_origin_is_in_the_recording_and_in_the_result(tmp_path: Path) -> Non
         assert origin == made.origin
         assert origin is not None
         assert origin.absolute == (str(tmp_path / "room"),)
-        assert (origin.options.frames, origin.format, origin.sensor) == ("1:", "BenchmarkSequence", made.origin.sensor)
+        assert (origin.options.frames, origin.format, origin.sensor) == (
+            "1:",
+            "BenchmarkSequence",
+            made.origin.sensor,
+        )
     assert made.plugin is not None
     assert (made.plugin.package, len(made.plugin.sha256)) == ("dynaviz", 64)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("options", [{"poses": "vehicle.txt", "extrinsic": MOUNT}, {"poses": "small-gicp"}])
+@pytest.mark.parametrize(
+    "options", [{"poses": "vehicle.txt", "extrinsic": MOUNT}, {"poses": "small-gicp"}]
+)
 def test_arrays_are_cleaned_like_files(
     options: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,7 +298,9 @@ def test_arrays_are_cleaned_like_files(
     assert in_memory.result.labels_sha256 != dv.run("octomap", arrays).labels_sha256
 
 
-def test_a_bench_runs_again_after_the_code_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bench_runs_again_after_the_code_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     package = tmp_path / "plugin"
     package.mkdir()
     source = "from dynaviz_methods.octomap import OctoMap\n\n\nclass Mine(OctoMap):\n    pass\n"
@@ -232,7 +308,9 @@ def test_a_bench_runs_again_after_the_code_changed(tmp_path: Path, monkeypatch: 
     monkeypatch.syspath_prepend(package)
     every = registry.handles
     handle = registry.PluginHandle("methods", "octomap", "mine:Mine", "mine", "1")
-    monkeypatch.setattr(registry, "handles", lambda kind: [handle] if kind == "methods" else every(kind))
+    monkeypatch.setattr(
+        registry, "handles", lambda kind: [handle] if kind == "methods" else every(kind)
+    )
     monkeypatch.setattr("dynaviz.benchmarking.bench.LocalExecutor", InProcessExecutor)
     plan = {"methods": ["octomap"], "sequences": [str(stored(tmp_path))], "record": "none"}
     kept, outdated = [], []
@@ -254,10 +332,13 @@ def test_labels_of_other_code_or_of_another_version_are_not_replayed() -> None:
     result = dataclasses.replace(dv.run("octomap", scans), labels_sha256="0" * 64)
     with pytest.raises(
         DataError,
-        match=r"was written by dynaviz .* whose labels this version does not reproduce\. Run the method again",
+        match=r"was written by dynaviz .* whose labels this version does not reproduce\. Run the "
+        r"method again",
     ):
         dv.why(result, 0, 0, sequence=scans)
     assert result.plugin is not None
-    other = dataclasses.replace(result, plugin=msgspec.structs.replace(result.plugin, sha256="1" * 64))
+    other = dataclasses.replace(
+        result, plugin=msgspec.structs.replace(result.plugin, sha256="1" * 64)
+    )
     with pytest.raises(DataError, match="was made by other code of octomap"):
         dv.why(other, 0, 0, sequence=scans)

@@ -1,4 +1,7 @@
-"""Files written by an earlier version: two results, their recordings and their comparison stay readable."""
+"""Files written by an earlier version.
+
+Two results, their recordings and their comparison stay readable.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in RUNS:
         (folder / name).mkdir()
         shutil.copy(DATA / name / "result.json", folder / name)
-        (folder / name / "run.rrd").write_bytes(gzip.decompress((DATA / name / "run.rrd.gz").read_bytes()))
+        (folder / name / "run.rrd").write_bytes(
+            gzip.decompress((DATA / name / "run.rrd.gz").read_bytes())
+        )
     return folder
 
 
@@ -78,7 +83,9 @@ def test_recordings_contain_the_labels_and_the_result(files: Path, name: str) ->
     assert found[Outcome.FALSE_NEGATIVE] == result.counts["dynamic_kept"]
 
 
-def test_the_comparison_is_the_same(files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_comparison_is_the_same(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(files)
     comparison = dv.compare("fine/run.rrd", "coarse/run.rrd", out=tmp_path / "compare.rrd")
     comparison.save(tmp_path / "compare.json")
@@ -111,13 +118,19 @@ def test_a_report_collects_them(files: Path) -> None:
 
 
 def test_runs_that_do_not_state_their_origin(tmp_path: Path) -> None:
-    """Of the version before runs stated their origin: all opens, and the ledger asks for the sequence in one line."""
+    """Of the version before runs stated their origin.
+
+    All opens, and the ledger asks for the sequence in one line.
+    """
     earlier = DATA.with_name("before_origin")
     for name in ("result.json", "labels.npz"):
         shutil.copy(earlier / name, tmp_path)
     (tmp_path / "run.rrd").write_bytes(gzip.decompress((earlier / "run.rrd.gz").read_bytes()))
     convert(room(3, 300), tmp_path / "room")
-    with pytest.raises(UsageError, match=r"does not state where its sequence came from\. Give the sequence of the run"):
+    with pytest.raises(
+        UsageError,
+        match=r"does not state where its sequence came from\. Give the sequence of the run",
+    ):
         dv.why(tmp_path, 0, 5)
     labels = open_run(tmp_path).labels
     for file in (tmp_path, tmp_path / "run.rrd"):

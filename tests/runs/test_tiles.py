@@ -46,13 +46,20 @@ def labels(folder: Path) -> tuple[bytes, bytes]:
     "method",
     [
         *("octomap", "dufomap", "seethrough"),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("octomap_g", "octomap_gf", "freedom")),
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("octomap_g", "octomap_gf", "freedom")
+        ),
     ],
 )
-def test_labels_and_reasons_equal_those_of_one_run(method: str, long_room: InMemory, tmp_path: Path) -> None:
+def test_labels_and_reasons_equal_those_of_one_run(
+    method: str, long_room: InMemory, tmp_path: Path
+) -> None:
     settings = ("sky=false",) if method == "freedom" else ()
     whole = dv.run(method, long_room, out=tmp_path / "whole", record="none", settings=settings)
-    tiled = dv.run(method, long_room, out=tmp_path / "tiled", record="none", settings=settings, tiles=SIZE)
+    tiled = dv.run(
+        method, long_room, out=tmp_path / "tiled", record="none", settings=settings, tiles=SIZE
+    )
     assert labels(tmp_path / "tiled") == labels(tmp_path / "whole")
     assert tiled.counts == whole.counts
     assert tiled.counts["dynamic_removed"] > 0
@@ -60,7 +67,9 @@ def test_labels_and_reasons_equal_those_of_one_run(method: str, long_room: InMem
     assert tiled.pose_noise == whole.pose_noise
     assert tiled.sections.tiling
     assert tiled.sections.tiling.tiles == 4
-    assert (tmp_path / "tiled/config.toml").read_text() == (tmp_path / "whole/config.toml").read_text()
+    assert (tmp_path / "tiled/config.toml").read_text() == (
+        tmp_path / "whole/config.toml"
+    ).read_text()
 
 
 def test_online_labels_are_tiled_too(long_room: InMemory, tmp_path: Path) -> None:
@@ -70,23 +79,33 @@ def test_online_labels_are_tiled_too(long_room: InMemory, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("method", [pytest.param("octomap", marks=pytest.mark.slow), "dufomap"])
-def test_a_map_far_from_the_origin_is_judged_like_one_at_the_origin(method: str, tmp_path: Path) -> None:
+def test_a_map_far_from_the_origin_is_judged_like_one_at_the_origin(
+    method: str, tmp_path: Path
+) -> None:
     def placed(scan: Scan, x: float) -> Scan:
-        points = np.round(scan.points * 64) / 64  # exact in float32 at both places, and so is the pose
+        # exact in float32 at both places, and so is the pose
+        points = np.round(scan.points * 64) / 64
         pose = np.round(scan.T_world_sensor * 64) / 64
         pose[0, 3] += x
         return Scan(scan.index, points + np.float32([x, 0, 0]), pose, labels=scan.labels)
 
     scans = room(frames=12, rays=4000).scans
-    near, far = (InMemory([placed(scan, x) for scan in scans], "room", room(1).sensor) for x in (0.0, 12_800.0))
+    near, far = (
+        InMemory([placed(scan, x) for scan in scans], "room", room(1).sensor)
+        for x in (0.0, 12_800.0)
+    )
     whole = dv.run(method, near)
-    assert dv.run(method, far).labels_sha256 != whole.labels_sha256  # out of reach: all points are kept
+    assert (
+        dv.run(method, far).labels_sha256 != whole.labels_sha256
+    )  # out of reach: all points are kept
     tiled = dv.run(method, far, out=tmp_path, record="none", tiles=SIZE)
     assert tiled.labels_sha256 == whole.labels_sha256
 
 
 @pytest.mark.slow
-def test_two_processes_run_all_tiles_with_the_same_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_processes_run_all_tiles_with_the_same_labels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     started = []
 
     class Counted(subprocess.Popen):  # type: ignore[type-arg]
@@ -103,7 +122,9 @@ def test_two_processes_run_all_tiles_with_the_same_labels(tmp_path: Path, monkey
     assert {path.name for path in tmp_path.glob("out/tiles/*/*")} == {"answers.npz"}
 
 
-def test_a_process_that_dies_loses_one_tile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_dies_loses_one_tile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     taken: list[subprocess.Popen[bytes]] = []
     take = WorkerProcesses._take
 
@@ -119,7 +140,10 @@ def test_a_process_that_dies_loses_one_tile(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(DataError, match=r"1 of 4 tiles failed \(.*killed by SIGKILL"):
         dv.run("octomap", folder, **options)
     assert len(list(tmp_path.glob("out/tiles/*/answers.npz"))) == 3
-    assert dv.run("octomap", folder, **options).labels_sha256 == dv.run("octomap", folder).labels_sha256
+    assert (
+        dv.run("octomap", folder, **options).labels_sha256
+        == dv.run("octomap", folder).labels_sha256
+    )
 
 
 def test_finished_tiles_are_kept_and_others_run(
@@ -142,7 +166,9 @@ def test_finished_tiles_are_kept_and_others_run(
     assert sorted(ran) == ["-1_0", "0_-1"]
     assert again.labels_sha256 == first.labels_sha256
     ran.clear()
-    dv.run("dufomap", long_room, out=tmp_path, record="none", tiles=SIZE, settings=("hit_margin=0.1",))
+    dv.run(
+        "dufomap", long_room, out=tmp_path, record="none", tiles=SIZE, settings=("hit_margin=0.1",)
+    )
     assert len(ran) == 4, "answers with other parameters are of no use"
 
 
@@ -157,7 +183,9 @@ def test_a_tile_that_fails_is_named_and_the_others_are_finished(
         run(task, folder, *others)  # type: ignore[arg-type]
 
     monkeypatch.setattr(TileTask, "run", broken)
-    with pytest.raises(DataError, match=r"1 of 4 tiles failed \(0_0\): scan.pcd: cannot be read.*same command"):
+    with pytest.raises(
+        DataError, match=r"1 of 4 tiles failed \(0_0\): scan.pcd: cannot be read.*same command"
+    ):
         dv.run("octomap", long_room, out=tmp_path, record="none", tiles=SIZE)
     assert len(list(tmp_path.glob("tiles/*/answers.npz"))) == 3
     assert not (tmp_path / "result.json").exists()
@@ -171,7 +199,9 @@ def test_a_method_that_needs_the_whole_map_is_refused(long_room: InMemory, tmp_p
 
 
 @pytest.mark.parametrize(("tiles", "words"), [(3.0, "from 10 to 1000"), (float("nan"), "from 10")])
-def test_an_impossible_size_is_refused(tiles: float, words: str, long_room: InMemory, tmp_path: Path) -> None:
+def test_an_impossible_size_is_refused(
+    tiles: float, words: str, long_room: InMemory, tmp_path: Path
+) -> None:
     with pytest.raises(UsageError, match=words):
         dv.run("octomap", long_room, out=tmp_path, tiles=tiles)
     with pytest.raises(UsageError, match="out=FOLDER"):
@@ -201,9 +231,16 @@ def test_drives_far_from_zero_have_one_origin() -> None:
         Drives.of([far(500), other])
 
 
-def test_several_drives_are_one_map(tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]) -> None:
-    first, second = (write_room(tmp_path / name, frames=6, seed=seed) for seed, name in enumerate(("first", "second")))
-    code, _, err = run_command("run", "octomap", first, second, "-o", tmp_path / "run", "--tiles", SIZE)
+def test_several_drives_are_one_map(
+    tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]
+) -> None:
+    first, second = (
+        write_room(tmp_path / name, frames=6, seed=seed)
+        for seed, name in enumerate(("first", "second"))
+    )
+    code, _, err = run_command(
+        "run", "octomap", first, second, "-o", tmp_path / "run", "--tiles", SIZE
+    )
     assert code == 0, err
     result, both = dv.Result.load(tmp_path / "run/result.json"), dv.open([first, second])
     assert result.sequence.name == "first+second"
@@ -216,13 +253,19 @@ def test_a_car_that_is_gone_in_the_second_drive_is_removed_from_the_first(tmp_pa
     y, z = (axis.ravel() for axis in np.meshgrid(np.arange(-4, 4, 0.05), np.arange(-1, 1, 0.05)))
     wall = np.stack([np.full(len(y), 15.0), y, z], 1).astype(np.float32)
     behind = np.abs(y) < 1.5
-    parked = np.where(behind[:, None], wall * np.float32(0.4), wall)  # at 6 m, on the rays to the wall
+    parked = np.where(
+        behind[:, None], wall * np.float32(0.4), wall
+    )  # at 6 m, on the rays to the wall
 
     def drive(points: F32) -> InMemory:
         labels = (points[:, 0] < 10).astype(np.uint8)
-        return InMemory([Scan(k, points, np.eye(4), labels=labels) for k in range(4)], "drive", room(1).sensor)
+        return InMemory(
+            [Scan(k, points, np.eye(4), labels=labels) for k in range(4)], "drive", room(1).sensor
+        )
 
-    both = Drives.of([drive(parked), drive(wall), drive(wall), drive(wall)])  # three misses outweigh a hit
+    both = Drives.of(
+        [drive(parked), drive(wall), drive(wall), drive(wall)]
+    )  # three misses outweigh a hit
     result = dv.run("octomap", both, out=tmp_path, record="none", tiles=SIZE)
     assert result.labels[0][behind].mean() > 0.9
     assert not result.labels[0][~behind].any()
@@ -258,7 +301,10 @@ def test_the_points_of_a_tile_are_those_it_owns() -> None:
         assert (tiles[of] == owners).all()
         assert counts.tolist() == np.unique(owners, return_counts=True)[1].tolist()
         for tile in tiles.tolist():
-            assert grid.rows(scan, unpacked(tile), offset).tolist() == np.flatnonzero(owners == tile).tolist()
+            assert (
+                grid.rows(scan, unpacked(tile), offset).tolist()
+                == np.flatnonzero(owners == tile).tolist()
+            )
     nothing = Scan(0, points[:0], pose)
     assert [len(found) for found in grid.counted(nothing)] == [0, 0, 0]
     assert len(grid.rows(nothing, (0, 0), origin)) == 0
@@ -280,13 +326,19 @@ def test_rays_that_end_beyond_a_tile_mark_its_voxels(several: bool) -> None:
             marks = grid.mark_once(scan, grid.locate(scan.points))
         else:
             marks = grid.mark(scan, np.ones(len(scan), np.bool_), np.ones(len(scan), np.bool_))
-        return dict(zip(map(tuple, grid.blocks[marks.blocks].tolist()), marks.bits.tolist(), strict=True))
+        return dict(
+            zip(map(tuple, grid.blocks[marks.blocks].tolist()), marks.bits.tolist(), strict=True)
+        )
 
     for kind in (BlockGrid, ClearGrid):
         grid = kind(cut, 0.1)
         own, expected = set(map(tuple, grid.blocks.tolist())), marked(kind(whole, 0.1), scan)
-        assert marked(grid, scan) == {block: bits for block, bits in expected.items() if block in own}
-        assert marked(grid, scan) != marked(grid, scan.chosen(np.flatnonzero(grid.locate(points) >= 0)))
+        assert marked(grid, scan) == {
+            block: bits for block, bits in expected.items() if block in own
+        }
+        assert marked(grid, scan) != marked(
+            grid, scan.chosen(np.flatnonzero(grid.locate(points) >= 0))
+        )
 
 
 @pytest.mark.parametrize("size", [37.0, 1000.0])
@@ -324,11 +376,15 @@ def test_all_frames_whose_rays_touch_a_tile_are_found(long_room: InMemory) -> No
         skipped += len(long_room) - len(found)
     assert index.count_of.sum() == sum(len(scan) for scan in long_room.scans)
     narrow = dataclasses.replace(index, farthest=index.farthest * 0 + 1.0)
-    assert sum(len(narrow.frames_reaching(tile, margin)) for tile in index.tiles) < skipped + 12 * len(index.tiles)
+    assert sum(
+        len(narrow.frames_reaching(tile, margin)) for tile in index.tiles
+    ) < skipped + 12 * len(index.tiles)
 
 
 @pytest.mark.parametrize("direction", [(1, 0), (0, 1), (-1, 0), (0, -1), (1, -1)])
-def test_a_frame_reaches_tiles_only_in_the_directions_in_which_it_sees(direction: tuple[int, int]) -> None:
+def test_a_frame_reaches_tiles_only_in_the_directions_in_which_it_sees(
+    direction: tuple[int, int],
+) -> None:
     position, size = np.array([103.0, -58.0, 0.0]), 4.0
     T_world_sensor = np.eye(4)
     T_world_sensor[:3, 3] = position
@@ -348,7 +404,9 @@ def test_a_frame_reaches_tiles_only_in_the_directions_in_which_it_sees(direction
 
 def test_gaps_keep_every_nth_frame_in_step(long_room: InMemory) -> None:
     n = 10 * CYCLE
-    index = dataclasses.replace(SequenceIndex.of(long_room, SIZE), numbers=np.arange(n), positions=np.zeros((n, 3)))
+    index = dataclasses.replace(
+        SequenceIndex.of(long_room, SIZE), numbers=np.arange(n), positions=np.zeros((n, 3))
+    )
     wanted = np.array([7, 8, 8 + 2 * CYCLE - 1, 9 * CYCLE + 3])
     frames = TileFrames.of(long_room, index, wanted, np.zeros(3))
     at = np.flatnonzero(frames.rows >= 0)
@@ -376,7 +434,9 @@ def test_the_evidence_of_a_tile_is_that_of_its_points(long_room: InMemory, tmp_p
 
 
 @pytest.mark.slow
-def test_the_command_line_runs_tiles(tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]) -> None:
+def test_the_command_line_runs_tiles(
+    tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]
+) -> None:
     run, room_folder = tmp_path / "run", write_room(tmp_path / "room", frames=6)
     code, out, err = run_command("run", "dufomap", room_folder, "-o", run, "--tiles", "12")
     assert code == 0, err
@@ -387,7 +447,9 @@ def test_the_command_line_runs_tiles(tmp_path: Path, run_command: Callable[..., 
     assert AnyRecording(run / "overview.rrd").kind == "overview"
     assert len(recorded) == result.sections.tiling.tiles == 4
     for name in ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept"):
-        rows = {f"{row.column}_{row.row}": getattr(row, name) for row in result.sections.tiling.tile}
+        rows = {
+            f"{row.column}_{row.row}": getattr(row, name) for row in result.sections.tiling.tile
+        }
         assert {tile: each.counts[name] for tile, each in recorded.items() if each} == rows
         assert sum(rows.values()) == result.counts[name]
     code, out, err = run_command("info", run / "result.json", "--failures")

@@ -59,12 +59,19 @@ def test_drawn_points_count_for_all_they_stand_for_and_non_finite_points_are_ski
 
 
 @given(
-    st.lists(st.tuples(st.integers(-20000, 20000), st.integers(-20000, 20000)), min_size=1, max_size=20, unique=True)
+    st.lists(
+        st.tuples(st.integers(-20000, 20000), st.integers(-20000, 20000)),
+        min_size=1,
+        max_size=20,
+        unique=True,
+    )
 )
 def test_packing_a_cell_keeps_its_corner(cells: list[tuple[int, int]]) -> None:
     places = SpatialCells(5.0)
     xyz = np.array([[5 * x + 2.5, 5 * y + 2.5, 0] for x, y in cells], np.float32)
-    places.add(0, xyz, np.full(len(cells), Outcome.FALSE_POSITIVE, np.uint8), np.ones(len(cells), np.int64))
+    places.add(
+        0, xyz, np.full(len(cells), Outcome.FALSE_POSITIVE, np.uint8), np.ones(len(cells), np.int64)
+    )
     corners = places.corners(places.rows()[0])
     assert {tuple(corner) for corner in corners.tolist()} == {(5.0 * x, 5.0 * y) for x, y in cells}
 
@@ -79,7 +86,10 @@ def test_runs_on_different_points_are_refused() -> None:
 
 
 def counted(seed: int, frames: int, drift: float) -> np.ndarray:
-    """(F, 2, 4) counts of two runs; the second is better, by a lead that varies slowly over the frames."""
+    """(F, 2, 4) counts of two runs.
+
+    The second is better, by a lead that varies slowly over the frames.
+    """
     random = np.random.default_rng(seed)
     lead = 0.3 + drift * np.sin(np.arange(frames) * 2 * np.pi / 60)
     share = np.clip(lead + random.normal(0, 0.05, frames), 0, 1)
@@ -100,7 +110,9 @@ def test_intervals_against_blocks_drawn_one_by_one() -> None:
         a, b = scores(counts[frames].sum(0))
         differences.append(float(b.AA - a.AA))
     assert length == 3
-    np.testing.assert_allclose(intervals(counts, draws).AA, np.quantile(differences, [0.025, 0.975]))
+    np.testing.assert_allclose(
+        intervals(counts, draws).AA, np.quantile(differences, [0.025, 0.975])
+    )
 
 
 def test_intervals_of_independent_frames_agree_with_scipy() -> None:
@@ -113,9 +125,13 @@ def test_intervals_of_independent_frames_agree_with_scipy() -> None:
             return b.AA - a.AA
 
         random = np.random.default_rng(seed)
-        theirs = bootstrap((np.arange(225),), difference, method="percentile", n_resamples=400, rng=random)
+        theirs = bootstrap(
+            (np.arange(225),), difference, method="percentile", n_resamples=400, rng=random
+        )
         low, high = intervals(counts, 1000).AA or (0, 0)
-        ratios.append((high - low) / (theirs.confidence_interval.high - theirs.confidence_interval.low))
+        ratios.append(
+            (high - low) / (theirs.confidence_interval.high - theirs.confidence_interval.low)
+        )
         assert (low + high) / 2 == pytest.approx(sum(theirs.confidence_interval) / 2, rel=0.05)
     assert np.mean(ratios) == pytest.approx(1, abs=0.2)
 

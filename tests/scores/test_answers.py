@@ -35,7 +35,9 @@ def test_packing_loses_nothing(n: int, data: st.DataObject) -> None:
 
 def test_truncated_data_is_an_error() -> None:
     answers = FrameAnswers(0, 0, np.ones(50, bool), *(np.zeros(50, np.uint8) for _ in range(3)))
-    short = answers.packed() | {"truth": FrameAnswers(0, 0, *(np.zeros(9, np.uint8),) * 4).packed()["truth"]}
+    short = answers.packed() | {
+        "truth": FrameAnswers(0, 0, *(np.zeros(9, np.uint8),) * 4).packed()["truth"]
+    }
     with pytest.raises(ValueError, match="9 values instead of 50"):
         FrameAnswers.unpacked(0, short)
 
@@ -53,6 +55,8 @@ def test_range_bands_use_the_origin_of_each_ray() -> None:
 
 def test_without_ground_truth_every_point_is_unlabelled() -> None:
     scan = Scan(0, np.zeros((3, 3), np.float32), pose(0.0))
-    answers = FrameAnswers.of(Labelled.of(0, scan, np.array([True, False, True]), np.zeros(3, np.uint8)))
+    answers = FrameAnswers.of(
+        Labelled.of(0, scan, np.array([True, False, True]), np.zeros(3, np.uint8))
+    )
     assert answers.truth.tolist() == [Label.UNLABELLED] * 3
     assert answers.outcome.tolist() == [5, 4, 5]

@@ -19,11 +19,29 @@ SAME = ScoreChange(50.0, 50.0, 0.0, (0.0, 0.0))
 
 def comparison(**changes: ScoreChange) -> Comparison:
     """A comparison of two runs with chosen scores."""
-    scores = ByScore(**{name: changes.get(name, SAME) for name in ("SA", "DA", "AA", "HA", "FP", "FN")})
+    scores = ByScore(
+        **{name: changes.get(name, SAME) for name in ("SA", "DA", "AA", "HA", "FP", "FN")}
+    )
     pair = replace(compared(*two_runs(0, 3, 20)), scores=scores)
     values = ByScore(*(score.second for _, score in scores.items()))
     runs = [
-        ComparedRun(letter, name, "", "", name, name, "errors", "mask", False, 0, {}, values, Runtime(), False, "")
+        ComparedRun(
+            letter,
+            name,
+            "",
+            "",
+            name,
+            name,
+            "errors",
+            "mask",
+            False,
+            0,
+            {},
+            values,
+            Runtime(),
+            False,
+            "",
+        )
         for letter, name in (("A", "octomap"), ("B", "dufomap[fine]"))
     ]
     return Comparison(SequenceInfo("street", "", 3, 60), tuple(runs), (pair,))
@@ -33,29 +51,43 @@ def comparison(**changes: ScoreChange) -> Comparison:
     ("scores", "verdict"),
     [
         (
-            {"AA": ScoreChange(70.3, 81.8, 11.5, (9.0, 13.0)), "SA": ScoreChange(90.0, 92.0, 2.0, (1.0, 3.0))},
+            {
+                "AA": ScoreChange(70.3, 81.8, 11.5, (9.0, 13.0)),
+                "SA": ScoreChange(90.0, 92.0, 2.0, (1.0, 3.0)),
+            },
             "B dufomap[fine] is better than A octomap: AA 81.80 against 70.30. "
             "B dufomap[fine] keeps more static points (SA +2.00).",
         ),
         (
-            {"AA": ScoreChange(81.8, 70.3, -11.5, (-13.0, -9.0)), "DA": ScoreChange(90.0, 88.5, -1.5, (-3.0, -1.0))},
+            {
+                "AA": ScoreChange(81.8, 70.3, -11.5, (-13.0, -9.0)),
+                "DA": ScoreChange(90.0, 88.5, -1.5, (-3.0, -1.0)),
+            },
             "A octomap is better than B dufomap[fine]: AA 81.80 against 70.30. "
             "A octomap removes more dynamic points (DA +1.50).",
         ),
         (
             {"AA": ScoreChange(70.3, 70.8, 0.5, (-1.0, 2.0))},
-            "No clear winner: B dufomap[fine] has AA 70.80 against 70.30, but the 95 % interval includes zero.",
+            "No clear winner: B dufomap[fine] has AA 70.80 against 70.30, but the 95 % interval "
+            "includes zero.",
         ),
         (
             {"AA": ScoreChange(70.3, 70.8, 0.5, None)},
-            "No clear winner: B dufomap[fine] has AA 70.80 against 70.30, but there is no 95 % interval.",
+            "No clear winner: B dufomap[fine] has AA 70.80 against 70.30, but there is no 95 % "
+            "interval.",
         ),
         (
-            {"AA": ScoreChange(70.3, 71.8, 1.5, (0.5, 2.0)), "DA": ScoreChange(90.0, 92.9, 2.9, (-0.1, 6.0))},
+            {
+                "AA": ScoreChange(70.3, 71.8, 1.5, (0.5, 2.0)),
+                "DA": ScoreChange(90.0, 92.9, 2.9, (-0.1, 6.0)),
+            },
             "B dufomap[fine] is better than A octomap: AA 71.80 against 70.30.",
         ),
         (
-            {"AA": ScoreChange(70.3, 71.8, 1.5, (0.5, 2.0)), "SA": ScoreChange(90.0, 92.9, 2.9, None)},
+            {
+                "AA": ScoreChange(70.3, 71.8, 1.5, (0.5, 2.0)),
+                "SA": ScoreChange(90.0, 92.9, 2.9, None),
+            },
             "B dufomap[fine] is better than A octomap: AA 71.80 against 70.30.",
         ),
         ({}, "A octomap and B dufomap[fine] are even: AA 50.00."),

@@ -1,4 +1,7 @@
-"""Checks of results against limits and a baseline: what fails, what is refused, what is only reported."""
+"""Checks of results against limits and a baseline.
+
+What fails, what is refused, what is only reported.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +20,28 @@ from hypothesis import strategies as st
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.scores.collect import StudyRun, collect
-from dynaviz.scores.regression import STORED, CheckOutcome, RegressionCheck, check, label, read_baseline, write_baseline
+from dynaviz.scores.regression import (
+    STORED,
+    CheckOutcome,
+    RegressionCheck,
+    check,
+    label,
+    read_baseline,
+    write_baseline,
+)
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
 
 Command = Callable[..., tuple[int, str, str]]
 
 
-def result(static: tuple[int, int] = (80, 20), dynamic: tuple[int, int] = (45, 5), **changes: Any) -> Result:
-    """A result with given counts: static points kept and removed, dynamic points removed and kept."""
+def result(
+    static: tuple[int, int] = (80, 20), dynamic: tuple[int, int] = (45, 5), **changes: Any
+) -> Result:
+    """A result with given counts.
+
+    Static points kept and removed, dynamic points removed and kept.
+    """
     sa, da = (100 * a / (a + b) if a + b else None for a, b in (static, dynamic))
     both = sa is not None and da is not None
     metrics = {
@@ -39,7 +55,9 @@ def result(static: tuple[int, int] = (80, 20), dynamic: tuple[int, int] = (45, 5
         "method": "octomap",
         "parameters": {"resolution": 0.1},
         "sequence": SequenceInfo("street", "d1", 5, 150),
-        "sections": Sections(metrics=metrics, counts=dict(zip(names, (*static, *dynamic), strict=True))),
+        "sections": Sections(
+            metrics=metrics, counts=dict(zip(names, (*static, *dynamic), strict=True))
+        ),
         "runtime": Runtime(0.5),
     }
     return Result(**(values | changes))
@@ -64,9 +82,12 @@ def test_limits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("static", "dynamic", "why"), [((9, 1), (0, 0), "labelled as dynamic"), ((0, 0), (9, 1), "labelled as static")]
+    ("static", "dynamic", "why"),
+    [((9, 1), (0, 0), "labelled as dynamic"), ((0, 0), (9, 1), "labelled as static")],
 )
-def test_an_undefined_metric_fails(static: tuple[int, int], dynamic: tuple[int, int], why: str) -> None:
+def test_an_undefined_metric_fails(
+    static: tuple[int, int], dynamic: tuple[int, int], why: str
+) -> None:
     (failed,) = check([cell(result(static, dynamic))], [("AA", 0.0)]).failed
     assert (failed.value, why in failed.remark) == (None, True)
     checked = check([cell(result(static, dynamic))], baseline=[result()])
@@ -86,16 +107,28 @@ percent = st.floats(0, 100)
 @given(percent, percent, st.floats(0, 5))
 def test_a_drop_beyond_the_tolerance_fails(now: float, before: float, tolerance: float) -> None:
     new, old = (Sections(metrics=dict.fromkeys(("SA", "DA", "AA", "HA"), x)) for x in (now, before))
-    checked = check([cell(result(sections=new))], baseline=[result(sections=old)], tolerance=tolerance)
+    checked = check(
+        [cell(result(sections=new))], baseline=[result(sections=old)], tolerance=tolerance
+    )
     outcomes = {f.outcome for f in checked.values if f.name != "s/frame"}
     if abs(abs(now - before) - tolerance) > 1e-6:
-        assert outcomes == {CheckOutcome.PASSED if abs(now - before) < tolerance else CheckOutcome(int(now > before))}
+        assert outcomes == {
+            CheckOutcome.PASSED
+            if abs(now - before) < tolerance
+            else CheckOutcome(int(now > before))
+        }
 
 
 def test_changes_of_counts_and_runtime_are_reported() -> None:
     before = result(runtime=Runtime(0.1))
     checked = check([cell(result((70, 30), (50, 0)))], baseline=[before])
-    assert outcomes(checked) == {"SA": "FAILED", "DA": "IMPROVED", "AA": "FAILED", "HA": "FAILED", "s/frame": "INFO"}
+    assert outcomes(checked) == {
+        "SA": "FAILED",
+        "DA": "IMPROVED",
+        "AA": "FAILED",
+        "HA": "FAILED",
+        "s/frame": "INFO",
+    }
     assert checked.failed[0].counts["static_removed"] == (30, 10)
     runtime = checked.values[-1]
     assert (runtime.value, runtime.limit) == (0.5, 0.1)
@@ -103,7 +136,9 @@ def test_changes_of_counts_and_runtime_are_reported() -> None:
 
 def test_different_data_or_scoring_is_refused() -> None:
     other = SequenceInfo("street", "d2", 5, 149)
-    with pytest.raises(UsageError, match=r"data differ.*d1 \(5 frames, 150 points\).*d2 \(5 frames, 149 points\)"):
+    with pytest.raises(
+        UsageError, match=r"data differ.*d1 \(5 frames, 150 points\).*d2 \(5 frames, 149 points\)"
+    ):
         check(
             [cell(result())],
             baseline=[result(sequence=other), result(method="erasor")],
@@ -113,7 +148,9 @@ def test_different_data_or_scoring_is_refused() -> None:
     with pytest.raises(UsageError, match="data differ"):  # one run against another
         check(
             [cell(result())],
-            baseline=[result(sequence=msgspec.structs.replace(other, name="hall"), method="erasor")],
+            baseline=[
+                result(sequence=msgspec.structs.replace(other, name="hall"), method="erasor")
+            ],
         )
 
 
@@ -134,12 +171,19 @@ def test_the_matching_entry_is_chosen_among_several() -> None:
 
 
 def test_a_sequence_may_be_renamed_and_parameters_may_change() -> None:
-    renamed = result(sequence=msgspec.structs.replace(result().sequence, name="road"), parameters={"resolution": 0.3})
+    renamed = result(
+        sequence=msgspec.structs.replace(result().sequence, name="road"),
+        parameters={"resolution": 0.3},
+    )
     checked = check(
         [cell(renamed), cell(result(method="new"))],
         baseline=[result(), result(method="x")],
     )
-    remarks = {(f.run, f.name): f.remark for f in checked.values if f.outcome is CheckOutcome.INFO and f.remark}
+    remarks = {
+        (f.run, f.name): f.remark
+        for f in checked.values
+        if f.outcome is CheckOutcome.INFO and f.remark
+    }
     assert remarks[("octomap on road", "parameters")] == "resolution 0.1 -> 0.3"
     assert remarks[("new on street", "run")] == "is not in the baseline"
     assert not checked.failed
@@ -167,7 +211,11 @@ def test_a_failed_variant_does_not_hide_missing_ones() -> None:
 
 def test_a_label_names_the_variant_once() -> None:
     labels = [label(result(variant=variant, online=True)) for variant in ("online", "fine", "")]
-    assert labels == ["octomap (online) on street", "octomap (fine) (online) on street", "octomap (online) on street"]
+    assert labels == [
+        "octomap (online) on street",
+        "octomap (fine) (online) on street",
+        "octomap (online) on street",
+    ]
 
 
 def test_a_baseline_survives_its_file(tmp_path: Path) -> None:
@@ -211,19 +259,30 @@ def test_the_command(bench: Path, tmp_path: Path, run_command: Command) -> None:
     baseline = tmp_path / "baseline.json"
     code, out, err = run_command("check", bench, "--write-baseline", baseline)
     assert (code, "Written" in out) == (0, True), err
-    code, out, _ = run_command("check", bench, "--baseline", baseline, "--min", "SA=80", "--min", "AA=80")
+    code, out, _ = run_command(
+        "check", bench, "--baseline", baseline, "--min", "SA=80", "--min", "AA=80"
+    )
     assert (code, "all 12 checks passed" in out) == (0, True), out
     result((70, 30)).save(bench / "street/octomap/result.json")
-    code, out, _ = run_command("check", bench, "--baseline", baseline, "--junit", tmp_path / "checks.xml")
+    code, out, _ = run_command(
+        "check", bench, "--baseline", baseline, "--junit", tmp_path / "checks.xml"
+    )
     assert code == 1
-    suites = {suite.get("name"): suite for suite in ElementTree.parse(tmp_path / "checks.xml").getroot()}
+    suites = {
+        suite.get("name"): suite for suite in ElementTree.parse(tmp_path / "checks.xml").getroot()
+    }
     assert set(suites) == {"octomap on street", "erasor on street"}
     cases = {case.get("name"): case.find("failure") for case in suites["octomap on street"]}
     assert cases["SA"].get("message").startswith("SA 70.00 %; at least 80.00 % is required")
-    assert suites["octomap on street"].get("failures") == str(sum(found is not None for found in cases.values()))
+    assert suites["octomap on street"].get("failures") == str(
+        sum(found is not None for found in cases.values())
+    )
     assert suites["erasor on street"].get("failures") == "0"
     first = next(line for line in out.splitlines() if "FAIL" in line)
-    assert all(word in first for word in ("octomap on street", "SA", "70.00", "80.00", "-10.00", "FP 30 (+10)"))
+    assert all(
+        word in first
+        for word in ("octomap on street", "SA", "70.00", "80.00", "-10.00", "FP 30 (+10)")
+    )
     assert max(map(len, out.splitlines())) <= 80
     assert "failed" in out
     code, _, _ = run_command("check", bench, "--baseline", baseline, "--tolerance", 10.5)
@@ -232,8 +291,14 @@ def test_the_command(bench: Path, tmp_path: Path, run_command: Command) -> None:
     (bench / "street/octomap/error.json").write_text(
         json.dumps({"method": "octomap", "sequence": "street", "error": "no memory"})
     )
-    code, out, _ = run_command("check", bench, "--min", "SA=1", "--write-baseline", tmp_path / "never.json")
-    assert (code, "failed: no memory" in out, (tmp_path / "never.json").exists()) == (1, True, False)
+    code, out, _ = run_command(
+        "check", bench, "--min", "SA=1", "--write-baseline", tmp_path / "never.json"
+    )
+    assert (code, "failed: no memory" in out, (tmp_path / "never.json").exists()) == (
+        1,
+        True,
+        False,
+    )
 
 
 def test_an_improvement_is_reported(bench: Path, tmp_path: Path, run_command: Command) -> None:
@@ -247,7 +312,13 @@ def test_an_improvement_is_reported(bench: Path, tmp_path: Path, run_command: Co
 
 @pytest.mark.parametrize(
     "typed",
-    ["check {}", "check {} --min AA", "check {} --min FOO=1", "check absent --min AA=1", "check {} --baseline absent"],
+    [
+        "check {}",
+        "check {} --min AA",
+        "check {} --min FOO=1",
+        "check absent --min AA=1",
+        "check {} --baseline absent",
+    ],
 )
 def test_a_mistake_gives_one_line(bench: Path, run_command: Command, typed: str) -> None:
     code, _, err = run_command(*(word.format(bench) for word in typed.split()))

@@ -20,7 +20,9 @@ from dynaviz.scores.sections import Runtime, SequenceInfo
 KINDS = ("neither", "only_first", "only_second", "both")
 
 
-def counted(runs: TwoRuns) -> tuple[Counter[str], Counter[tuple[str, str]], Counter[tuple[str, str, str]]]:
+def counted(
+    runs: TwoRuns,
+) -> tuple[Counter[str], Counter[tuple[str, str]], Counter[tuple[str, str, str]]]:
     """The same numbers, point by point: by kind, by band and kind, and by kind and reasons."""
     kinds: Counter[str] = Counter()
     bands: Counter[tuple[str, str]] = Counter()
@@ -45,7 +47,10 @@ def test_removed_points_are_counted_by_range_and_reason(seed, frames, points):
     assert all(getattr(removed.points, kind) == kinds[kind] for kind in KINDS)
     for row in removed.by_range:
         assert all(getattr(row.points, kind) == bands[row.band, kind] for kind in KINDS)
-    found = {(row.removed_by, row.first_reason, row.second_reason): row.points for row in removed.by_reason}
+    found = {
+        (row.removed_by, row.first_reason, row.second_reason): row.points
+        for row in removed.by_reason
+    }
     assert found == reasons
     assert [row.points for row in removed.by_reason] == sorted(reasons.values(), reverse=True)
 
@@ -57,7 +62,23 @@ def test_with_ground_truth_there_is_no_such_comparison():
 def test_the_verdict_and_the_tables_claim_nothing_that_is_unknown():
     pair = compared(*two_runs(5, 4, 40, (255,)))
     runs = tuple(
-        ComparedRun(letter, name, "", "", name, name, "errors", "mask", False, 0, {}, pair.scores, Runtime(), False, "")
+        ComparedRun(
+            letter,
+            name,
+            "",
+            "",
+            name,
+            name,
+            "errors",
+            "mask",
+            False,
+            0,
+            {},
+            pair.scores,
+            Runtime(),
+            False,
+            "",
+        )
         for letter, name in (("A", "octomap"), ("B", "dufomap"))
     )
     comparison = Comparison(SequenceInfo("street", "", 4, 60), runs, (pair,))
@@ -68,7 +89,10 @@ def test_the_verdict_and_the_tables_claim_nothing_that_is_unknown():
     assert f"A octomap removes {shares[0]:.2f} % of the points" in verdict
     assert f"B dufomap removes {shares[1]:.2f} % of the points" in verdict
     titles = [section.title for section in sections(runs, (pair,))]
-    assert titles[:2] == ["Removed points, by range from the sensor", "What one run removed and the other kept"]
+    assert titles[:2] == [
+        "Removed points, by range from the sensor",
+        "What one run removed and the other kept",
+    ]
     assert len(titles) == 3
     text = str(comparison)
     assert "SA" not in text
@@ -76,4 +100,6 @@ def test_the_verdict_and_the_tables_claim_nothing_that_is_unknown():
     assert f"{pair.removed.by_reason[0].points}" in text
     plain = comparison.to_dict()["pairs"][0]["removed"]
     assert msgspec.convert(json.loads(json.dumps(plain)), RemovalComparison) == pair.removed
-    assert np.isclose(sum(plain["points"].values()), sum(len(a) for a in two_runs(5, 4, 40, (255,))[0]))
+    assert np.isclose(
+        sum(plain["points"].values()), sum(len(a) for a in two_runs(5, 4, 40, (255,))[0])
+    )

@@ -17,7 +17,13 @@ RESULT = Result(
     {"resolution": 0.1},
     SequenceInfo("room", "abc", 2, 10),
     Sections(
-        counts={"static_kept": 5, "static_removed": 1, "dynamic_removed": 3, "dynamic_kept": 1, "unlabelled": 0},
+        counts={
+            "static_kept": 5,
+            "static_removed": 1,
+            "dynamic_removed": 3,
+            "dynamic_kept": 1,
+            "unlabelled": 0,
+        },
         metrics={"SA": 83.33, "DA": 75.0, "AA": 79.06, "HA": None, "precision": 75.0, "IoU": 60.0},
         other={"total": {"anything": [1, None]}},
     ),
@@ -84,18 +90,31 @@ def test_nothing_appears_where_writing_fails(tmp_path: Path) -> None:
     ],
 )
 def test_a_value_of_the_wrong_type_is_rejected(change: dict[str, Any], says: str | None) -> None:
-    plain = {"method": "m", "parameters": {}, "sequence": {}, "metrics": {"SA": None}, "counts": {"static_kept": 1}}
+    plain = {
+        "method": "m",
+        "parameters": {},
+        "sequence": {},
+        "metrics": {"SA": None},
+        "counts": {"static_kept": 1},
+    }
     if says is None:
         Result.from_dict({**plain, **change}, "result.json")
     else:
-        with pytest.raises(DataError, match=rf"result\.json: is not a valid result: Expected .*`{re.escape(says)}`"):
+        with pytest.raises(
+            DataError, match=rf"result\.json: is not a valid result: Expected .*`{re.escape(says)}`"
+        ):
             Result.from_dict({**plain, **change}, "result.json")
 
 
 def test_a_failure_case_of_an_unknown_kind_is_rejected() -> None:
     known = case("false_negative", 1.0, (0, 0, 0), (1, 1, 1))
     for kind in ("false_negative", "removed"):
-        plain = {"method": "m", "parameters": {}, "sequence": {}, "failures": {"cases": [{**known, "kind": kind}]}}
+        plain = {
+            "method": "m",
+            "parameters": {},
+            "sequence": {},
+            "failures": {"cases": [{**known, "kind": kind}]},
+        }
         if kind in known.values():
             assert Result.from_dict(plain, "result.json").failures[0].kind == kind
         else:
@@ -106,7 +125,9 @@ def test_a_failure_case_of_an_unknown_kind_is_rejected() -> None:
 def test_numbers_beyond_64_bits_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_text('{"method": "m", "parameters": {}, "sequence": {}, "seed": 1' + 400 * "0" + "}")
-    with pytest.raises(DataError, match=r"result\.json: not valid JSON \(10000.* has more than 64 bits\)"):
+    with pytest.raises(
+        DataError, match=r"result\.json: not valid JSON \(10000.* has more than 64 bits\)"
+    ):
         Result.load(path)
 
 

@@ -11,7 +11,9 @@ from dynaviz.scores.scores import SCORES, accuracies, harmonic_mean, percent, pe
 COUNT = st.integers(0, 10**12)
 
 
-def by_formula(static_kept: int, static_removed: int, dynamic_removed: int, dynamic_kept: int) -> list[float]:
+def by_formula(
+    static_kept: int, static_removed: int, dynamic_removed: int, dynamic_kept: int
+) -> list[float]:
     """SA, DA, AA and HA in the arithmetic of Python's own numbers."""
     static, dynamic = static_kept + static_removed, dynamic_removed + dynamic_kept
     SA = 100.0 * static_kept / static if static else math.nan
@@ -25,7 +27,9 @@ def test_arrays_and_numbers_equal_the_formulas_to_the_bit(rows):
     kept, removed, right, left = np.array(rows, np.int64).T
     found = accuracies(kept, kept + removed, right, right + left)
     assert tuple(found) == SCORES
-    np.testing.assert_array_equal(np.stack(list(found.values()), 1), [by_formula(*row) for row in rows])
+    np.testing.assert_array_equal(
+        np.stack(list(found.values()), 1), [by_formula(*row) for row in rows]
+    )
     a, b, c, d = rows[0]
     for name, value in accuracies(a, a + b, c, c + d).items():
         np.testing.assert_array_equal(value, found[name][0])

@@ -7,11 +7,24 @@ from rich.console import Console
 
 from dynaviz.scores.result import Result, result_table
 
-COUNTS = {"static_kept": 900, "static_removed": 100, "dynamic_removed": 64, "dynamic_kept": 36, "unlabelled": 5}
+COUNTS = {
+    "static_kept": 900,
+    "static_removed": 100,
+    "dynamic_removed": 64,
+    "dynamic_kept": 36,
+    "unlabelled": 5,
+}
 
 
 def result(method: str, aa: float | None, **more) -> Result:
-    metrics = {"SA": 90.0, "DA": aa and 64.0, "AA": aa, "HA": aa and 74.8, "precision": 39.0, "IoU": 32.0}
+    metrics = {
+        "SA": 90.0,
+        "DA": aa and 64.0,
+        "AA": aa,
+        "HA": aa and 74.8,
+        "precision": 39.0,
+        "IoU": 32.0,
+    }
     given = {
         "method": method,
         "parameters": {},

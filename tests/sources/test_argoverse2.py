@@ -37,7 +37,13 @@ def test_boxes_become_labels(log: Path) -> None:
     assert scan.labels.tolist() == [1, 255, 255, 0, 0]
     assert scan.instances is not None
     assert scan.instances.tolist() == [1, 0, 0, 2, 0]
-    assert [CLASS_NAMES[kind] for kind in scan.classes] == ["regular vehicle", "none", "none", "bus", "none"]  # type: ignore[union-attr]
+    assert [CLASS_NAMES[kind] for kind in scan.classes] == [
+        "regular vehicle",
+        "none",
+        "none",
+        "bus",
+        "none",
+    ]  # type: ignore[union-attr]
 
 
 def test_a_sweep_without_boxes_is_unlabelled(log: Path) -> None:
@@ -52,8 +58,14 @@ def test_a_sweep_without_boxes_is_unlabelled(log: Path) -> None:
 
 def test_the_world_frame_has_the_axes_of_the_city_and_starts_at_the_sensor(log: Path) -> None:
     sequence = open_sequence(str(log))
-    assert (len(sequence), sequence.name, sequence.sensor.name) == (3, "argoverse2_0a1b2c3d", "vlp32c_pair")
-    assert [(sequence[k].index, sequence[k].stamp_ns) for k in range(3)] == [(k, START + k * STEP) for k in range(3)]
+    assert (len(sequence), sequence.name, sequence.sensor.name) == (
+        3,
+        "argoverse2_0a1b2c3d",
+        "vlp32c_pair",
+    )
+    assert [(sequence[k].index, sequence[k].stamp_ns) for k in range(3)] == [
+        (k, START + k * STEP) for k in range(3)
+    ]
     np.testing.assert_allclose(sequence[0].position, 0, atol=1e-6)
     np.testing.assert_allclose(sequence[1].position, [0, 1, 0], atol=1e-6)
     np.testing.assert_allclose(sequence[0].points[0], [0, 10 - UP[0], 1.0 - UP[2]], atol=1e-3)
@@ -63,8 +75,16 @@ def test_the_world_frame_has_the_axes_of_the_city_and_starts_at_the_sensor(log: 
 def test_each_ray_starts_at_its_lidar_when_it_fired(log: Path) -> None:
     origins = open_sequence(str(log))[1].origins
     start, low = SPEED * 0.1, DOWN[2] - UP[2]
-    expected = [[0, start, 0], [0, start + 0.99, 0], [0, start, low], [0, start + 0.99, low], [0, start + 0.05, 0]]
-    np.testing.assert_allclose(origins, expected, atol=0.051)  # rays within 10 ms share an origin: up to 5 cm here
+    expected = [
+        [0, start, 0],
+        [0, start + 0.99, 0],
+        [0, start, low],
+        [0, start + 0.99, low],
+        [0, start + 0.05, 0],
+    ]
+    np.testing.assert_allclose(
+        origins, expected, atol=0.051
+    )  # rays within 10 ms share an origin: up to 5 cm here
     np.testing.assert_allclose(origins[:, 2], [row[2] for row in expected], atol=1e-6)
     assert len(np.unique(origins, axis=0)) == 4  # the first and the last ray share an origin
 
@@ -87,7 +107,9 @@ def test_an_empty_sweep(log: Path) -> None:
     assert (len(scan), scan.origins.shape) == (0, (0, 3))
 
 
-@pytest.mark.parametrize("name", ["annotations", "city_SE3_egovehicle", "calibration/egovehicle_SE3_sensor"])
+@pytest.mark.parametrize(
+    "name", ["annotations", "city_SE3_egovehicle", "calibration/egovehicle_SE3_sensor"]
+)
 def test_truncated_tables_are_reported_on_opening(log: Path, name: str) -> None:
     path = log / f"{name}.feather"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -109,17 +131,23 @@ def test_missing_files_columns_and_poses_are_reported(log: Path) -> None:
     with pytest.raises(DataError, match=rf"{START}\.feather: column y is missing \(found: x\)"):
         open_sequence(str(log))[0]
     write_sweep(log, START + 10**9, POINTS, [0] * 5, [0] * 5)
-    with pytest.raises(DataError, match=r"city_SE3_egovehicle\.feather: no pose near .* is 0\.560 s away"):
+    with pytest.raises(
+        DataError, match=r"city_SE3_egovehicle\.feather: no pose near .* is 0\.560 s away"
+    ):
         open_sequence(str(log))[3]
     sensors = {"sensor_name": ["up_lidar"]} | transform_columns([UP], (1, 0, 0, 0))
     write_table(log / "calibration/egovehicle_SE3_sensor.feather", sensors)
-    with pytest.raises(DataError, match=r"egovehicle_SE3_sensor\.feather: sensor down_lidar is missing"):
+    with pytest.raises(
+        DataError, match=r"egovehicle_SE3_sensor\.feather: sensor down_lidar is missing"
+    ):
         open_sequence(str(log))
     write_table(
         log / "calibration/egovehicle_SE3_sensor.feather",
         {"sensor_name": ["up_lidar", "down_lidar"]} | transform_columns([UP, DOWN], (0, 0, 0, 0)),
     )
-    with pytest.raises(DataError, match=r"egovehicle_SE3_sensor\.feather, row 0: the quaternion is not a rotation"):
+    with pytest.raises(
+        DataError, match=r"egovehicle_SE3_sensor\.feather, row 0: the quaternion is not a rotation"
+    ):
         open_sequence(str(log))
     (log / "city_SE3_egovehicle.feather").unlink()
     (log / "calibration/egovehicle_SE3_sensor.feather").unlink()
@@ -128,7 +156,10 @@ def test_missing_files_columns_and_poses_are_reported(log: Path) -> None:
 
 
 def test_missing_values_and_lists_in_columns_are_reported(log: Path) -> None:
-    for values, problem in (([1.0, None], "column x has missing values"), ([[1.0], [2.0]], "column x contains list")):
+    for values, problem in (
+        ([1.0, None], "column x has missing values"),
+        ([[1.0], [2.0]], "column x contains list"),
+    ):
         write_table(log / f"sensors/lidar/{START}.feather", {"x": values})
         with pytest.raises(DataError, match=problem):
             open_sequence(str(log))[0]
@@ -177,7 +208,9 @@ def test_rings_of_the_real_log_are_cones_around_the_origins(real: Path) -> None:
             for k in range(first, first + 32):
                 mine = rays[laser == k] @ turn
                 distance = np.sqrt((mine**2).sum(1))
-                elevation = np.degrees(np.arcsin(mine[:, 2] / distance))[(distance > 3) & (distance < 15)]
+                elevation = np.degrees(np.arcsin(mine[:, 2] / distance))[
+                    (distance > 3) & (distance < 15)
+                ]
                 if len(elevation) > 200:
                     spreads.append(np.subtract(*np.percentile(elevation, [90, 10])) / 2)
         assert len(spreads) > 20

@@ -1,4 +1,6 @@
-"""Arrays from Python: mistakes name the scan and the field, and say what to give in the words of the reader."""
+"""Arrays from Python: mistakes name the scan and the field, and say what to give in the words of
+the reader.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +44,18 @@ def sheared(T: np.ndarray) -> None:
 
 
 MISTAKES: dict[str, tuple[tuple[Any, Any], str]] = {
-    "(3, N)": ((POINTS.T, GOOD), r"scan 2, points: \(3, 400\) of float64\. Give \(N, 3 or more\).*: points\.T"),
+    "(3, N)": (
+        (POINTS.T, GOOD),
+        r"scan 2, points: \(3, 400\) of float64\. Give \(N, 3 or more\).*: points\.T",
+    ),
     "(N, 2)": ((POINTS[:, :2], GOOD), r"scan 2, points: \(400, 2\) of float64"),
     "text": ((POINTS.astype("U8"), GOOD), r"scan 2, points: \(400, 3\) of <U8"),
     "one row": ((POINTS[0], GOOD), r"scan 2, points: \(3,\) of float64"),
     "NaN pose": ((POINTS, pose(nan)), "scan 2, pose: has NaN or infinite numbers"),
-    "scaled": ((POINTS, pose(scaled)), r"scan 2, pose: the rotation is scaled by 1\.1\. Give T_world_sensor"),
+    "scaled": (
+        (POINTS, pose(scaled)),
+        r"scan 2, pose: the rotation is scaled by 1\.1\. Give T_world_sensor",
+    ),
     "mirrored": ((POINTS, pose(mirrored)), "scan 2, pose: the matrix mirrors"),
     "sheared": ((POINTS, pose(sheared)), "scan 2, pose: the matrix is not a rotation"),
     "transposed": (
@@ -106,7 +114,9 @@ def test_the_command_line_and_python_name_options_in_their_own_way(
     (tmp_path / "scans").mkdir()
     for k in range(2):
         np.save(tmp_path / f"scans/{k:06d}.npy", POINTS.astype(np.float32))
-    with pytest.raises(DataError, match=r"Estimate them with poses=.small-gicp., or give poses=FILE"):
+    with pytest.raises(
+        DataError, match=r"Estimate them with poses=.small-gicp., or give poses=FILE"
+    ):
         dv.open(tmp_path / "scans")
     _, _, err = run_command("run", "octomap", tmp_path / "scans", "-o", tmp_path / "out")
     assert "Estimate them with --poses small-gicp, or give --poses FILE" in err

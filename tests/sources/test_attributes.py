@@ -19,7 +19,9 @@ from dynaviz.io.velodyne import detect_columns
 FRAMES, POINTS = 4, 400
 UTM = np.array([512_000.25, 5_403_000.5, 380.0])
 RANDOM = np.random.default_rng(0)
-LOCAL = (RANDOM.uniform(-20, 20, (FRAMES, POINTS, 3)) * 1024).round().astype(np.float32) / 1024  # exact in sums
+LOCAL = (RANDOM.uniform(-20, 20, (FRAMES, POINTS, 3)) * 1024).round().astype(
+    np.float32
+) / 1024  # exact in sums
 RINGS = RANDOM.integers(0, 64, (FRAMES, POINTS)).astype(np.uint16)
 INTENSITY = RANDOM.random((FRAMES, POINTS)).astype(np.float32)
 
@@ -34,7 +36,10 @@ def write_scans(folder: Path, offset: np.ndarray, *, world: bool = False) -> Pat
     folder.mkdir(parents=True)
     for k, T in enumerate(poses(offset)):
         xyz = LOCAL[k] + (T[:3, 3] if world else 0)
-        fields = {axis: xyz[:, n] for n, axis in enumerate("xyz")} | {"ring": RINGS[k], "intensity": INTENSITY[k]}
+        fields = {axis: xyz[:, n] for n, axis in enumerate("xyz")} | {
+            "ring": RINGS[k],
+            "intensity": INTENSITY[k],
+        }
         write_pcd(folder / f"{k:06d}.pcd", fields)
     np.savetxt(folder / "poses.txt", poses(offset)[:, :3].reshape(FRAMES, 12), fmt="%.17g")
     return folder
@@ -52,7 +57,10 @@ def test_attributes_follow_the_points(tmp_path: Path) -> None:
 @pytest.mark.parametrize("world", [False, True])
 def test_a_far_sequence_is_the_same_as_one_near_zero(tmp_path: Path, world: bool) -> None:
     points_in = "world" if world else None
-    near = dv.open(write_scans(tmp_path / "near", np.array([0.25, 0.5, 380.0]), world=world), points_in=points_in)
+    near = dv.open(
+        write_scans(tmp_path / "near", np.array([0.25, 0.5, 380.0]), world=world),
+        points_in=points_in,
+    )
     far = dv.open(write_scans(tmp_path / "far", UTM, world=world), points_in=points_in)
     np.testing.assert_array_equal(origin_of(far), [512_000, 5_403_000, 0])
     assert not origin_of(near).any()
@@ -95,7 +103,14 @@ def test_columns_of_bin_files_are_detected(tmp_path: Path, columns: int, names: 
     angle = np.linspace(0, 40 * np.pi, 1200)
     ring = np.repeat(np.arange(20), 60)
     table = np.column_stack(
-        [20 * np.cos(angle), 15 * np.sin(angle), 0.1 * ring - 1, RANDOM.random(1200), ring, np.linspace(0, 0.1, 1200)]
+        [
+            20 * np.cos(angle),
+            15 * np.sin(angle),
+            0.1 * ring - 1,
+            RANDOM.random(1200),
+            ring,
+            np.linspace(0, 0.1, 1200),
+        ]
     ).astype("<f4")
     for k in range(2):
         table[:, :columns].tofile(tmp_path / f"{k:06d}.bin")
@@ -113,9 +128,15 @@ def test_an_extrinsic_turns_poses_of_a_vehicle_into_those_of_its_lidar(tmp_path:
         scan = dv.open(folder, extrinsic=extrinsic)[2]
         np.testing.assert_allclose(scan.T_world_sensor[:3, 3], [2.5, 0.5, 2.0], atol=1e-12)
         x, y, z = LOCAL[2].T
-        np.testing.assert_allclose(scan.points, np.column_stack([2.5 - y, 0.5 + x, 2 + z]), atol=1e-4)
+        np.testing.assert_allclose(
+            scan.points, np.column_stack([2.5 - y, 0.5 + x, 2 + z]), atol=1e-4
+        )
     (tmp_path / "two.txt").write_text("0 -1 0 1.5  1 0 0 0  0 0 1 2\n" * 2)
-    wrong = {"1,2,3": "has 3 numbers", "a,b": "neither numbers nor a file", str(tmp_path / "two.txt"): "has 2 poses"}
+    wrong = {
+        "1,2,3": "has 3 numbers",
+        "a,b": "neither numbers nor a file",
+        str(tmp_path / "two.txt"): "has 2 poses",
+    }
     for extrinsic, problem in wrong.items():
         with pytest.raises(UsageError, match=f"extrinsic=.*: {problem}"):
             dv.open(folder, extrinsic=extrinsic)

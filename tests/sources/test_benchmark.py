@@ -1,4 +1,7 @@
-"""The layout of the public benchmark: poses, ground truth by row and by position, and invalid files."""
+"""The layout of the public benchmark.
+
+Poses, ground truth by row and by position, and invalid files.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,9 @@ def write(folder: Path, scans: list[Scan], order: slice = slice(None), **cloud: 
     """Write scans, and their labelled cloud in the given order of points."""
     for scan in scans:
         write_pcd(folder / f"pcd/{scan.index:06d}.pcd", xyz(scan.points), scan.T_world_sensor)
-    labels = np.concatenate([scan.labels for scan in scans if scan.labels is not None]).astype(np.float32)
+    labels = np.concatenate([scan.labels for scan in scans if scan.labels is not None]).astype(
+        np.float32
+    )
     points = np.concatenate([scan.points for scan in scans])
     fields = {**xyz(points), "intensity": labels, **cloud}
     write_pcd(folder / "gt_cloud.pcd", {name: array[order] for name, array in fields.items()})
@@ -79,17 +84,28 @@ def test_without_a_labelled_cloud_there_are_no_labels(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("data", ["ascii", "binary_compressed"])
-def test_a_labelled_cloud_in_any_encoding_is_read(folder: Path, scans: list[Scan], data: str) -> None:
+def test_a_labelled_cloud_in_any_encoding_is_read(
+    folder: Path, scans: list[Scan], data: str
+) -> None:
     cloud = read_pcd(folder / "gt_cloud.pcd")
-    write_encoded(folder / "gt_cloud.pcd", {name: cloud[name] for name in ("x", "y", "z", "intensity")}, data=data)
+    write_encoded(
+        folder / "gt_cloud.pcd",
+        {name: cloud[name] for name in ("x", "y", "z", "intensity")},
+        data=data,
+    )
     assert_same(open_sequence(str(folder)), scans)
 
 
-def test_a_labelled_cloud_in_another_order_is_matched_by_position(tmp_path: Path, scans: list[Scan]) -> None:
+def test_a_labelled_cloud_in_another_order_is_matched_by_position(
+    tmp_path: Path, scans: list[Scan]
+) -> None:
     sequence = open_sequence(str(write(tmp_path, scans, slice(None, None, -1))))
     assert isinstance(sequence, BenchmarkSequence)
     assert_same(sequence, scans)
-    assert sequence.facts == {"ground truth by": "coordinates in gt_cloud.pcd", "unmatched points": "0"}
+    assert sequence.facts == {
+        "ground truth by": "coordinates in gt_cloud.pcd",
+        "unmatched points": "0",
+    }
 
 
 def test_unmatched_points_are_unlabelled_and_counted(tmp_path: Path, scans: list[Scan]) -> None:
@@ -131,7 +147,12 @@ def test_nan_and_duplicate_points_are_matched_by_row(tmp_path: Path) -> None:
 def test_unlabelled_points_classes_and_instances(tmp_path: Path, scans: list[Scan]) -> None:
     n = sum(map(len, scans))
     intensity = np.full(n, 255, np.float32)
-    write(tmp_path, scans, intensity=intensity, **{"class": np.arange(n).astype("u2"), "instance": np.arange(n)[::-1]})
+    write(
+        tmp_path,
+        scans,
+        intensity=intensity,
+        **{"class": np.arange(n).astype("u2"), "instance": np.arange(n)[::-1]},
+    )
     scan = open_sequence(str(tmp_path))[1]
     assert (scan.labels == 255).all()
     np.testing.assert_array_equal(scan.classes, np.arange(n)[500:1000])  # type: ignore[arg-type]
@@ -151,7 +172,9 @@ def test_a_labelled_cloud_without_intensity_is_reported(folder: Path) -> None:
 
 
 def test_sequence_toml_sets_name_sensor_and_rate(folder: Path) -> None:
-    (folder / "sequence.toml").write_text('name = "street"\nsensor = "hdl64e"\nrate = 20\nmore = 1\n')
+    (folder / "sequence.toml").write_text(
+        'name = "street"\nsensor = "hdl64e"\nrate = 20\nmore = 1\n'
+    )
     sequence = open_sequence(str(folder))
     assert (sequence.name, sequence.sensor) == ("street", load_sensor("hdl64e"))
     assert sequence[1].stamp_ns == 11 * 50_000_000  # frame 11 at 20 Hz
@@ -159,7 +182,15 @@ def test_sequence_toml_sets_name_sensor_and_rate(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "content",
-    ["name = ", "name = 7", 'name = "../up"', 'name = ""', 'rate = "fast"', "rate = 0.0", "sensor = []"],
+    [
+        "name = ",
+        "name = 7",
+        'name = "../up"',
+        'name = ""',
+        'rate = "fast"',
+        "rate = 0.0",
+        "sensor = []",
+    ],
 )
 def test_an_invalid_sequence_toml_is_reported(folder: Path, content: str) -> None:
     (folder / "sequence.toml").write_text(content)
@@ -182,14 +213,20 @@ def test_rays_start_at_the_mount_of_their_lidar(tmp_path: Path) -> None:
     x, y, z = load_sensor("vlp32c_pair").mounts[1][:3]
     expected = [[10, 20, 30], [10 - y, 20 + x, 30 + z], [10, 20, 30]]
     np.testing.assert_allclose(open_sequence(str(tmp_path))[0].origins, expected, atol=1e-12)
-    write_pcd(tmp_path / "pcd/000005.pcd", {**fields, "lidar": np.array([0, 1, 2], np.uint8)}, T_world_sensor)
+    write_pcd(
+        tmp_path / "pcd/000005.pcd",
+        {**fields, "lidar": np.array([0, 1, 2], np.uint8)},
+        T_world_sensor,
+    )
     with pytest.raises(DataError, match=r"000005\.pcd: a point has lidar 2"):
         open_sequence(str(tmp_path))[0]
 
 
 def test_a_scan_without_viewpoint_is_reported_with_a_hint(folder: Path) -> None:
     write_pcd(folder / "pcd/000012.pcd", xyz(np.zeros((3, 3))))
-    with pytest.raises(DataError, match=r"000012\.pcd: has no VIEWPOINT.*world frame.*tx ty tz qw qx qy qz"):
+    with pytest.raises(
+        DataError, match=r"000012\.pcd: has no VIEWPOINT.*world frame.*tx ty tz qw qx qy qz"
+    ):
         open_sequence(str(folder))
 
 
@@ -197,7 +234,9 @@ def test_a_viewpoint_of_zeros_is_refused(folder: Path) -> None:
     path = folder / "pcd/000012.pcd"
     content = path.read_bytes()
     start = content.index(b"VIEWPOINT")
-    path.write_bytes(content[:start] + b"VIEWPOINT 0 0 0 0 0 0 0" + content[content.index(b"\n", start) :])
+    path.write_bytes(
+        content[:start] + b"VIEWPOINT 0 0 0 0 0 0 0" + content[content.index(b"\n", start) :]
+    )
     with pytest.raises(DataError, match=r"000012\.pcd, VIEWPOINT: .*quaternion of length 1"):
         open_sequence(str(folder))
 

@@ -24,12 +24,18 @@ from dynaviz.spatial import geometry
 CAR = (4.0, 2.0, 1.5)
 
 
-def placed(track: int = 1, at: Any = (0, 0, 0), yaw: float = 0.0, size: Any = CAR, **more: Any) -> OrientedBox:
-    return OrientedBox(track, 3, geometry.pose(at, (np.cos(yaw / 2), 0, 0, np.sin(yaw / 2))), size, **more)
+def placed(
+    track: int = 1, at: Any = (0, 0, 0), yaw: float = 0.0, size: Any = CAR, **more: Any
+) -> OrientedBox:
+    return OrientedBox(
+        track, 3, geometry.pose(at, (np.cos(yaw / 2), 0, 0, np.sin(yaw / 2))), size, **more
+    )
 
 
 def labels(points: Any, boxes: list[OrientedBox], moving: Any = (1,), **more: Any) -> list[int]:
-    return truth_from_boxes(np.array(points, float).reshape(-1, 3), boxes, moving, **more).labels.tolist()
+    return truth_from_boxes(
+        np.array(points, float).reshape(-1, 3), boxes, moving, **more
+    ).labels.tolist()
 
 
 @pytest.mark.parametrize(
@@ -56,7 +62,9 @@ def test_the_inside_is_dynamic_and_the_border_is_unlabelled(point: Any, label: i
 
 
 def test_parked_objects_have_classes_and_instances() -> None:
-    truth = truth_from_boxes(np.array([(0, 0, 1), (10, 0, 1), (5, 0, 1.0)]), [placed(7), placed(8, (10, 0, 0))], {8})
+    truth = truth_from_boxes(
+        np.array([(0, 0, 1), (10, 0, 1), (5, 0, 1.0)]), [placed(7), placed(8, (10, 0, 0))], {8}
+    )
     assert truth.labels.tolist() == [0, 1, 0]
     assert truth.instances is not None
     assert truth.instances.tolist() == [7, 8, 0]
@@ -68,7 +76,9 @@ def test_a_border_does_not_hide_another_box() -> None:
     boxes = [placed(1), placed(2, (0, 2.1, 0))]
     for order in (boxes, boxes[::-1]):
         assert labels([(0, 1.1, 1), (0, 1.02, 1)], order, moving=(1, 2)) == [1, 1]
-        assert labels([(0, 1.2, 1)], order, moving=(1,)) == [255]  # the parked one is near a moving one
+        assert labels([(0, 1.2, 1)], order, moving=(1,)) == [
+            255
+        ]  # the parked one is near a moving one
 
 
 def test_outside_the_annotated_region_only_boxes_are_labelled() -> None:
@@ -111,9 +121,12 @@ def test_boxes_in_any_pose_agree_with_rotated_points(angles: Any, size: Any, see
 
 
 @pytest.mark.parametrize(
-    ("metres", "seconds", "moves"), [(0.51, 1, True), (0.49, 1, False), (4.9, 10, False), (5.1, 10, True)]
+    ("metres", "seconds", "moves"),
+    [(0.51, 1, True), (0.49, 1, False), (4.9, 10, False), (5.1, 10, True)],
 )
-def test_a_track_moves_if_its_mean_speed_is_high_enough(metres: float, seconds: float, moves: bool) -> None:
+def test_a_track_moves_if_its_mean_speed_is_high_enough(
+    metres: float, seconds: float, moves: bool
+) -> None:
     around = (5, seconds / 2, np.array([99.0, 0, 0]))  # positions in between do not count
     ends = [(5, 0.0, np.zeros(3)), around, (5, seconds, np.array([0.6, 0.8, 0]) * metres)]
     assert moving_tracks(ends) == (frozenset({5}) if moves else frozenset())

@@ -1,4 +1,6 @@
-"""Converted sequences have the same points, poses and labels, for dynaviz and for other programs."""
+"""Converted sequences have the same points, poses and labels, for dynaviz and for
+other programs.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from dynaviz.testing import InMemory
 def read_plain_pcd(path: Path) -> tuple[dict[str, list[str]], list[tuple[float, ...]]]:
     """Read a PCD file of four floats per point, without dynaviz."""
     head, _, body = path.read_bytes().partition(b"DATA binary\n")
-    words = {line.split()[0]: line.split()[1:] for line in head.decode().splitlines() if line[0] != "#"}
+    words = {
+        line.split()[0]: line.split()[1:] for line in head.decode().splitlines() if line[0] != "#"
+    }
     return words, list(struct.iter_unpack("<4f", body))
 
 
@@ -47,19 +51,29 @@ def test_a_copy_has_the_same_digest(tmp_path: Path) -> None:
     done = convert(world, tmp_path / "copy")
     copy = dv.open(tmp_path / "copy")
     assert summarize(copy).digest == summarize(world).digest
-    assert (done.exact, done.pose_error, done.frames, done.points, done.remarks()) == (True, 0, 4, 12_000, [])
+    assert (done.exact, done.pose_error, done.frames, done.points, done.remarks()) == (
+        True,
+        0,
+        4,
+        12_000,
+        [],
+    )
     assert (copy.name, [scan.index for scan in copy]) == ("room", [10, 11, 12, 13])
     for scan, original in zip(copy, world.scans, strict=True):
         np.testing.assert_array_equal(scan.instances, original.instances)
     # At 10 Hz, frame 10 is at 1 s.
-    assert [scan.stamp_ns - 1_000_000_000 for scan in copy] == [scan.stamp_ns for scan in world.scans]
+    assert [scan.stamp_ns - 1_000_000_000 for scan in copy] == [
+        scan.stamp_ns for scan in world.scans
+    ]
 
 
 def test_methods_give_the_same_labels_on_the_copy(tmp_path: Path) -> None:
     world = room(frames=5)
     convert(world, tmp_path / "copy")
     for method, settings in (("octomap", ()), ("removert", ("elevation=[-60,60]",))):
-        first, second = (dv.run(method, s, settings=settings, threads=1) for s in (world, tmp_path / "copy"))
+        first, second = (
+            dv.run(method, s, settings=settings, threads=1) for s in (world, tmp_path / "copy")
+        )
         assert first.labels_sha256 == second.labels_sha256
         assert first.counts == second.counts
 
@@ -152,8 +166,12 @@ def test_other_ray_origins_are_reported(tmp_path: Path) -> None:
     assert (done.moved_rays, done.exact) == (40, False)
     assert "rays of 40 points" in done.remarks()[0]
     pair = load_sensor("vlp32c_pair")
-    origins = full.position + np.array([mount[:3] for mount in pair.mounts])[np.arange(len(full)) % 2]
-    done = convert(in_memory(dataclasses.replace(full, origins=origins), sensor=pair), tmp_path / "pair")
+    origins = (
+        full.position + np.array([mount[:3] for mount in pair.mounts])[np.arange(len(full)) % 2]
+    )
+    done = convert(
+        in_memory(dataclasses.replace(full, origins=origins), sensor=pair), tmp_path / "pair"
+    )
     assert done.moved_rays == 0
     np.testing.assert_allclose(dv.open(tmp_path / "pair")[0].origins, origins, atol=1e-12)
 

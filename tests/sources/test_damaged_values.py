@@ -46,7 +46,12 @@ def test_tracklets_with_values_that_are_not_finite(tmp_path: Path) -> None:
 
 def test_boxes_with_values_out_of_range(tmp_path: Path) -> None:
     box = "0 1 Car 0 0 0 0 0 9 9 2 2 4 1 1.7 9 0"
-    for before, after in (("1 Car", "4294967296 Car"), ("0 1", "99999999999 1"), ("1.7", "nan"), ("2 2 4", "2 inf 4")):
+    for before, after in (
+        ("1 Car", "4294967296 Car"),
+        ("0 1", "99999999999 1"),
+        ("1.7", "nan"),
+        ("2 2 4", "2 inf 4"),
+    ):
         (tmp_path / "a.txt").write_text(f"{box}\n{box.replace(before, after)}\n")
         with pytest.raises(DataError, match=r"a\.txt, line 2: not a valid box"):
             read_boxes(tmp_path / "a.txt")
@@ -55,7 +60,8 @@ def test_boxes_with_values_out_of_range(tmp_path: Path) -> None:
 def test_laz_whose_decompressor_panics(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     WRITERS[".laz"](tmp_path / "a.laz", XYZ[0])
     content = bytearray((tmp_path / "a.laz").read_bytes())
-    record = content.index(b"laszip encoded") + 52  # the record of the compressor, after its header of 54 bytes
+    # the record of the compressor, after its header of 54 bytes
+    record = content.index(b"laszip encoded") + 52
     panicked = 0
     for offset in range(0, 40, 2):
         for value in (0, 0xFFFF):
@@ -113,7 +119,9 @@ def test_nuscenes_tables(tmp_path: Path, table: str, key: str, value: Any, probl
 
 
 @pytest.mark.parametrize("command", ["info", "doctor", "run", "report", "view", "check"])
-def test_a_name_longer_than_the_system_allows(tmp_path: Path, run_command: Command, command: str) -> None:
+def test_a_name_longer_than_the_system_allows(
+    tmp_path: Path, run_command: Command, command: str
+) -> None:
     name = tmp_path / ("x" * 5000)
     words = {"run": ["octomap", name], "check": [name, "--min", "SA=50"]}.get(command, [name])
     code, _, err = run_command(command, *words)
@@ -128,7 +136,9 @@ def test_a_bag_with_a_pose_that_is_not_finite(tmp_path: Path, value: float) -> N
         for k in range(3):
             writer.cloud(k / 10, columns(np.zeros((5, 3))))
             writer.odometry(k / 10, at(value if k == 1 else k), child="base")
-    with pytest.raises(DataError, match=r"drive.*, /odom: invalid pose \(position .* is not finite\)"):
+    with pytest.raises(
+        DataError, match=r"drive.*, /odom: invalid pose \(position .* is not finite\)"
+    ):
         open_sequence(f"rosbag:{writer.path}")
 
 
@@ -140,31 +150,50 @@ def test_a_bag_with_a_pose_that_is_not_finite(tmp_path: Path, value: float) -> N
             "",
             "1700000000000000000000 ns is after the year 2262; 22 digits suggest picoseconds",
         ),
-        ("1700000000000000000", " [s]", "1700000000000000000 s is after the year 2262; 19 digits suggest nanoseconds"),
-        ("1700000000000000", " [ms]", "1700000000000000 ms is after the year 2262; 16 digits suggest microseconds"),
+        (
+            "1700000000000000000",
+            " [s]",
+            "1700000000000000000 s is after the year 2262; 19 digits suggest nanoseconds",
+        ),
+        (
+            "1700000000000000",
+            " [ms]",
+            "1700000000000000 ms is after the year 2262; 16 digits suggest microseconds",
+        ),
     ],
 )
 def test_times_beyond_64_bits(tmp_path: Path, time: str, unit: str, likely: str) -> None:
     (tmp_path / "a.csv").write_text(f"stamp{unit},x,y,z,qx,qy,qz,qw\n{time},1,2,3,0,0,0,1\n")
-    with pytest.raises(DataError, match=rf"a\.csv, line 2: not a valid time \({likely} since 1970\)\. Give times in s"):
+    with pytest.raises(
+        DataError,
+        match=rf"a\.csv, line 2: not a valid time \({likely} since 1970\)\. Give times in s",
+    ):
         read_poses(tmp_path / "a.csv")
 
 
 def test_a_scan_named_by_a_time_beyond_64_bits(tmp_path: Path) -> None:
     for name in ("1700000000000000000000.npy", "1700000000100000000000.npy"):
         np.save(tmp_path / name, np.zeros((3, 3), np.float32))
-    with pytest.raises(DataError, match=r"0\.npy: its name is not a valid time .* 22 digits suggest picoseconds"):
+    with pytest.raises(
+        DataError, match=r"0\.npy: its name is not a valid time .* 22 digits suggest picoseconds"
+    ):
         open_sequence(f"files:{tmp_path}")
 
 
 @pytest.mark.parametrize("number", ["1e308", "9" * 30, "-9e18"])
 def test_poses_with_scan_numbers_beyond_64_bits(tmp_path: Path, number: str) -> None:
-    (tmp_path / "a.csv").write_text(f"index,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n{number},1,2,3,0,0,0,1\n")
-    with pytest.raises(DataError, match=rf"a\.csv, line 3: not a valid scan number \({re.escape(number)}\)"):
+    (tmp_path / "a.csv").write_text(
+        f"index,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n{number},1,2,3,0,0,0,1\n"
+    )
+    with pytest.raises(
+        DataError, match=rf"a\.csv, line 3: not a valid scan number \({re.escape(number)}\)"
+    ):
         read_poses(tmp_path / "a.csv")
 
 
-SIGNALLING = np.array([0x7F800001], np.uint32).view(np.float32)[0]  # a NaN that raises a warning where it is converted
+SIGNALLING = np.array([0x7F800001], np.uint32).view(np.float32)[
+    0
+]  # a NaN that raises a warning where it is converted
 
 
 @pytest.mark.filterwarnings("error")
@@ -215,5 +244,8 @@ def test_a_topic_with_messages_of_two_types(tmp_path: Path) -> None:
         writer.odometry(0, at(0), child="base")
     path = tmp_path / "drive/metadata.yaml"
     path.write_text(path.read_text().replace("name: /points", "name: /tf_static"))
-    with pytest.raises(DataError, match=r"drive: truncated or corrupt bag \(a topic has messages of several types\)"):
+    with pytest.raises(
+        DataError,
+        match=r"drive: truncated or corrupt bag \(a topic has messages of several types\)",
+    ):
         open_sequence(f"rosbag:{writer.path}")

@@ -26,7 +26,10 @@ PATH = "/records/10886629/files"
 
 
 class Server(ThreadingHTTPServer):
-    """Serves ``/records/10886629/files/00.zip``, and the record if there is one; other paths are 404."""
+    """Serves ``/records/10886629/files/00.zip``, and the record if there is one.
+
+    Other paths are 404.
+    """
 
     daemon_threads = True
 
@@ -56,7 +59,9 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         if self.path == "/api/records/10886629" and self.server.record is not None:
             record = self.server.record
-            return self.reply(200, record if isinstance(record, bytes) else json.dumps(record).encode())
+            return self.reply(
+                200, record if isinstance(record, bytes) else json.dumps(record).encode()
+            )
         if self.path != f"{PATH}/00.zip":
             return self.reply(404, b"no such file")
         server, requested = self.server, self.headers["Range"]
@@ -64,7 +69,9 @@ class Handler(BaseHTTPRequestHandler):
         if server.failures:
             return self.reply(server.failures.pop(0), b"")
         whole = server.archive
-        start = int(requested.removeprefix("bytes=").rstrip("-")) if requested and server.ranges else 0
+        start = (
+            int(requested.removeprefix("bytes=").rstrip("-")) if requested and server.ranges else 0
+        )
         total = len(whole) + server.extra_length
         if requested and server.ranges and start >= total:
             self.send_response(416)
@@ -108,8 +115,12 @@ def zipped(files: dict[str, bytes]) -> bytes:
 @pytest.fixture(scope="module")
 def archive(sequence: Path) -> bytes:
     """Like the benchmark's archives: a folder with the name of the sequence, and macOS metadata."""
-    files = {f"00/{path.relative_to(sequence)}": path.read_bytes() for path in sequence.rglob("*.pcd")}
-    return zipped({"__MACOSX/00/pcd/._000010.pcd": b"junk", "00/pcd/._000011.pcd": b"junk", **files})
+    files = {
+        f"00/{path.relative_to(sequence)}": path.read_bytes() for path in sequence.rglob("*.pcd")
+    }
+    return zipped(
+        {"__MACOSX/00/pcd/._000010.pcd": b"junk", "00/pcd/._000011.pcd": b"junk", **files}
+    )
 
 
 @pytest.fixture
@@ -129,7 +140,11 @@ def server(archive: bytes, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
 
 def zenodo_record(content: bytes, **other: object) -> dict:
     """The record in the format of the Zenodo API."""
-    file = {"key": "00.zip", "size": len(content), "checksum": f"md5:{hashlib.md5(content).hexdigest()}"} | other
+    file = {
+        "key": "00.zip",
+        "size": len(content),
+        "checksum": f"md5:{hashlib.md5(content).hexdigest()}",
+    } | other
     return {"id": 10886629, "files": [{"key": "05.zip", "size": 1, "checksum": "md5:0"}, file]}
 
 
@@ -167,7 +182,9 @@ def test_a_server_without_ranges_restarts(server: Server, archive: bytes, tmp_pa
 def test_a_later_command_resumes(server: Server, archive: bytes, tmp_path: Path) -> None:
     server.cuts = [4000] + [0] * 10
     with pytest.raises(
-        DataError, match=r"00\.zip: download stopped after 0\.0 MB, which are kept \(received 4,000 of .* bytes\)"
+        DataError,
+        match=r"00\.zip: download stopped after 0\.0 MB, which are kept \(received 4,000 of .* "
+        r"bytes\)",
     ):
         download("00", tmp_path, server.base)
     assert names_in(tmp_path) == [".00.zip.part"]
@@ -178,29 +195,41 @@ def test_a_later_command_resumes(server: Server, archive: bytes, tmp_path: Path)
     assert names_in(tmp_path) == ["00"]
 
 
-def test_a_complete_part_is_not_downloaded_again(server: Server, archive: bytes, tmp_path: Path) -> None:
+def test_a_complete_part_is_not_downloaded_again(
+    server: Server, archive: bytes, tmp_path: Path
+) -> None:
     (tmp_path / ".00.zip.part").write_bytes(archive)
     download("00", tmp_path, server.base)
     assert server.requested_ranges == [f"bytes={len(archive)}-"]
 
 
-def test_a_part_that_is_too_long_is_discarded(server: Server, archive: bytes, tmp_path: Path) -> None:
+def test_a_part_that_is_too_long_is_discarded(
+    server: Server, archive: bytes, tmp_path: Path
+) -> None:
     (tmp_path / ".00.zip.part").write_bytes(archive + b"more")
     download("00", tmp_path, server.base)
     assert server.requested_ranges == [f"bytes={len(archive) + 4}-", None]
 
 
-def test_a_server_that_states_too_large_a_size(server: Server, archive: bytes, tmp_path: Path) -> None:
+def test_a_server_that_states_too_large_a_size(
+    server: Server, archive: bytes, tmp_path: Path
+) -> None:
     server.extra_length = 50
-    with pytest.raises(DataError, match=r"download stopped after .* bytes\)\. Run the same command again"):
+    with pytest.raises(
+        DataError, match=r"download stopped after .* bytes\)\. Run the same command again"
+    ):
         download("00", tmp_path, server.base)
     assert len(server.requested_ranges) == fetch.MAX_ATTEMPTS
     assert names_in(tmp_path) == [".00.zip.part"]
 
 
-def test_a_server_that_states_too_small_a_size(server: Server, archive: bytes, tmp_path: Path) -> None:
+def test_a_server_that_states_too_small_a_size(
+    server: Server, archive: bytes, tmp_path: Path
+) -> None:
     server.extra_length = -50
-    with pytest.raises(DataError, match=r"00\.zip: truncated or corrupt zip archive .*The file was removed"):
+    with pytest.raises(
+        DataError, match=r"00\.zip: truncated or corrupt zip archive .*The file was removed"
+    ):
         download("00", tmp_path, server.base)
     assert names_in(tmp_path) == []
 
@@ -211,10 +240,14 @@ def test_a_busy_server_is_tried_again(server: Server, tmp_path: Path) -> None:
     assert len(server.requested_ranges) == 4
 
 
-def test_an_archive_that_differs_from_the_record_is_refused(server: Server, archive: bytes, tmp_path: Path) -> None:
+def test_an_archive_that_differs_from_the_record_is_refused(
+    server: Server, archive: bytes, tmp_path: Path
+) -> None:
     server.record = zenodo_record(archive, checksum="md5:" + "0" * 32)
     with pytest.raises(
-        DataError, match=r"md5 mismatch: got [0-9a-f]{32}, but the record at .* has 0{32}\. The file was removed"
+        DataError,
+        match=r"md5 mismatch: got [0-9a-f]{32}, but the record at .* has 0{32}\. The file was "
+        r"removed",
     ):
         download("00", tmp_path, server.base)
     server.record = zenodo_record(archive, size=7)
@@ -234,15 +267,21 @@ def test_an_unreadable_record_is_ignored(server: Server, tmp_path: Path) -> None
     [
         (
             b"Sorry, try tomorrow",
-            r"truncated or corrupt zip archive \(File is not a zip file; it starts with 'Sorry, try tom",
+            r"truncated or corrupt zip archive \(File is not a zip file; it starts with 'Sorry, "
+            r"try tom",
         ),
         (zipped({"readme.txt": b"hello"}), r"the archive contains no pcd/\*\.pcd"),
-        (zipped({"00/pcd/0.pcd": b"x", "../../evil": b"y"}), r"unsafe path '\.\./\.\./evil' in the archive"),
+        (
+            zipped({"00/pcd/0.pcd": b"x", "../../evil": b"y"}),
+            r"unsafe path '\.\./\.\./evil' in the archive",
+        ),
         (zipped({"00/pcd/0.pcd": b"x", "/evil": b"y"}), r"unsafe path '/evil' in the archive"),
         (zipped({"00/pcd/0.pcd": b"x", "00\\..\\..\\evil": b"y"}), "unsafe path"),
     ],
 )
-def test_invalid_archives_are_refused(server: Server, tmp_path: Path, content: bytes, message: str) -> None:
+def test_invalid_archives_are_refused(
+    server: Server, tmp_path: Path, content: bytes, message: str
+) -> None:
     server.archive = content
     with pytest.raises(DataError, match=message):
         download("00", tmp_path / "in", server.base)
@@ -253,7 +292,9 @@ def test_invalid_archives_are_refused(server: Server, tmp_path: Path, content: b
 def test_a_corrupt_archive_is_removed(server: Server, archive: bytes, tmp_path: Path) -> None:
     middle = len(archive) // 2
     server.archive = (
-        archive[:middle] + bytes(byte ^ 0xFF for byte in archive[middle : middle + 40]) + archive[middle + 40 :]
+        archive[:middle]
+        + bytes(byte ^ 0xFF for byte in archive[middle : middle + 40])
+        + archive[middle + 40 :]
     )
     with pytest.raises(DataError, match=r"truncated or corrupt zip archive \((Bad CRC|Error -3)"):
         download("00", tmp_path, server.base)
@@ -262,7 +303,9 @@ def test_a_corrupt_archive_is_removed(server: Server, archive: bytes, tmp_path: 
     download("00", tmp_path, server.base)
 
 
-def test_a_web_page_is_refused_and_the_part_is_kept(server: Server, archive: bytes, tmp_path: Path) -> None:
+def test_a_web_page_is_refused_and_the_part_is_kept(
+    server: Server, archive: bytes, tmp_path: Path
+) -> None:
     (tmp_path / ".00.zip.part").write_bytes(archive[:500])
     server.kind, server.ranges = "text/html; charset=utf-8", False
     with pytest.raises(DataError, match="the server sent a web page, not the file"):
@@ -271,9 +314,13 @@ def test_a_web_page_is_refused_and_the_part_is_kept(server: Server, archive: byt
 
 
 def test_servers_without_the_file_are_reported(server: Server, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"/nowhere/00\.zip: download failed \(404 Not Found\)\. Open the address"):
+    with pytest.raises(
+        DataError, match=r"/nowhere/00\.zip: download failed \(404 Not Found\)\. Open the address"
+    ):
         download("00", tmp_path, f"{server.root}/nowhere/")
-    with pytest.raises(DataError, match=r"download stopped before the first byte \(Connection refused\)"):
+    with pytest.raises(
+        DataError, match=r"download stopped before the first byte \(Connection refused\)"
+    ):
         download("00", tmp_path, "http://127.0.0.1:9")
     with pytest.raises(DataError, match=r"cannot connect"):
         download("00", tmp_path, "http://no.such.host.invalid")
@@ -295,7 +342,9 @@ def test_existing_files_are_not_touched(server: Server, tmp_path: Path) -> None:
     assert server.requested_ranges == []
 
 
-def test_an_interrupted_download_is_kept(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_download_is_kept(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(seconds: float) -> None:
         raise KeyboardInterrupt
 
@@ -317,6 +366,8 @@ def test_too_little_disk_space_is_reported_before_unpacking(
     server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=40))
-    with pytest.raises(DataError, match=r"needs 0\.0 GB unpacked, but 0\.0 GB are free.*the archive is kept"):
+    with pytest.raises(
+        DataError, match=r"needs 0\.0 GB unpacked, but 0\.0 GB are free.*the archive is kept"
+    ):
         download("00", tmp_path, server.base)
     assert names_in(tmp_path) == [".00.zip.part"]

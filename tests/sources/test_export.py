@@ -42,7 +42,9 @@ def test_the_files_are_read_as_labels_of_the_sweeps(folder: Path, tmp_path: Path
     sequence = dv.open(folder / "room")
     (data / "velodyne").mkdir(parents=True)
     for scan in sequence:
-        local = np.column_stack([scan.points - scan.position.astype(np.float32), np.zeros(len(scan), np.float32)])
+        local = np.column_stack(
+            [scan.points - scan.position.astype(np.float32), np.zeros(len(scan), np.float32)]
+        )
         local.astype("<f4").tofile(data / f"velodyne/{scan.index:06d}.bin")
     pose = "1 0 0 0 0 1 0 0 0 0 1 0"
     (data / "calib.txt").write_text(f"Tr: {pose}\n")
@@ -50,7 +52,9 @@ def test_the_files_are_read_as_labels_of_the_sweeps(folder: Path, tmp_path: Path
     export_labels(run, data / "labels", sequence)
     with np.load(run / "labels.npz") as z:
         removed_points = np.unpackbits(z["dynamic"])[: z["points"].sum()]
-    np.testing.assert_array_equal(np.concatenate([scan.labels for scan in dv.open(data)]), removed_points)
+    np.testing.assert_array_equal(
+        np.concatenate([scan.labels for scan in dv.open(data)]), removed_points
+    )
 
 
 def test_labels_of_a_different_sequence_are_refused(folder: Path, tmp_path: Path) -> None:

@@ -42,7 +42,11 @@ def test_missing_sweeps_leave_a_gap_in_the_numbers(training: Path) -> None:
 def test_tracking_is_found_from_related_folders(training: Path, inner: str) -> None:
     sequence = open_sequence(str(training / inner))
     assert isinstance(sequence, KittiTrackingSequence)
-    assert (sequence.name, sequence.sensor.name, sequence.has_labels) == ("kitti_tracking_0003", "hdl64e", True)
+    assert (sequence.name, sequence.sensor.name, sequence.has_labels) == (
+        "kitti_tracking_0003",
+        "hdl64e",
+        True,
+    )
 
 
 def test_several_sequences_are_reported(training: Path) -> None:
@@ -64,16 +68,24 @@ def test_poses_of_the_imu_are_converted(training: Path) -> None:
     path = training / "oxts/0003.txt"
     path.write_text(path.read_text().splitlines(keepends=True)[0] * 10 + half_turn)
     T_world_sensor = open_sequence(str(training))[1].T_world_sensor
-    expected = [[-1, 0, 0, -2], [0, -1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]  # the sensor is 1 m ahead of the IMU
+    expected = [
+        [-1, 0, 0, -2],
+        [0, -1, 0, 0],
+        [0, 0, 1, 0],
+        [0, 0, 0, 1],
+    ]  # the sensor is 1 m ahead of the IMU
     np.testing.assert_allclose(T_world_sensor, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("kind", "problem"), [("oxts", "has only 5 lines, but there is a sweep"), ("calib", "is missing")]
+    ("kind", "problem"),
+    [("oxts", "has only 5 lines, but there is a sweep"), ("calib", "is missing")],
 )
 def test_truncated_tracking_files_are_reported(training: Path, kind: str, problem: str) -> None:
     path = training / kind / "0003.txt"
-    path.write_text("".join(path.read_text().splitlines(keepends=True)[: 5 if kind == "oxts" else 1]))
+    path.write_text(
+        "".join(path.read_text().splitlines(keepends=True)[: 5 if kind == "oxts" else 1])
+    )
     with pytest.raises(DataError, match=f"0003.txt: .*{problem}"):
         open_sequence(str(training))
 
@@ -94,7 +106,8 @@ def test_camera_poses_are_converted_to_sensor_poses(sequence_folder: Path) -> No
 
 def test_classes_become_labels(sequence_folder: Path) -> None:
     scan = open_sequence(str(sequence_folder))[0]
-    assert scan.labels.tolist() == [0, 1, 1, 0, 1, 0]  # type: ignore[union-attr]  # unlabelled within 3 m: the car
+    # unlabelled within 3 m: the car
+    assert scan.labels.tolist() == [0, 1, 1, 0, 1, 0]  # type: ignore[union-attr]
     assert scan.classes.tolist() == [40, 252, 259, 30, 0, 1]  # type: ignore[union-attr]
     assert scan.instances.tolist() == [0, 5, 0, 0, 0, 0]  # type: ignore[union-attr]
 
@@ -112,7 +125,11 @@ def test_a_sweep_without_label_file_is_unlabelled(sequence_folder: Path) -> None
 def test_semantickitti_is_found_from_related_folders(sequence_folder: Path, inner: str) -> None:
     sequence = open_sequence(str(sequence_folder / inner))
     assert isinstance(sequence, SemanticKittiSequence)
-    assert (sequence.name, sequence.sensor.name, sequence.has_labels) == ("semantickitti_04", "hdl64e", True)
+    assert (sequence.name, sequence.sensor.name, sequence.has_labels) == (
+        "semantickitti_04",
+        "hdl64e",
+        True,
+    )
 
 
 def test_times_are_stamps(sequence_folder: Path) -> None:
@@ -123,25 +140,34 @@ def test_times_are_stamps(sequence_folder: Path) -> None:
 
 @pytest.mark.parametrize("name", ["poses.txt", "times.txt"])
 def test_too_few_lines_are_reported(sequence_folder: Path, name: str) -> None:
-    (sequence_folder / name).write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" if name == "poses.txt" else "0\n")
-    with pytest.raises(DataError, match=rf"{name}: has only 1 lines, but there is a sweep 000001\.bin"):
+    (sequence_folder / name).write_text(
+        "1 0 0 0 0 1 0 0 0 0 1 0\n" if name == "poses.txt" else "0\n"
+    )
+    with pytest.raises(
+        DataError, match=rf"{name}: has only 1 lines, but there is a sweep 000001\.bin"
+    ):
         open_sequence(str(sequence_folder))
 
 
 def test_a_wrong_number_of_labels_is_reported(sequence_folder: Path) -> None:
     np.zeros(5, "<u4").tofile(sequence_folder / "labels/000000.label")
-    with pytest.raises(DataError, match=r"000000\.label, byte 20: has 20 bytes, but 6 points need 24"):
+    with pytest.raises(
+        DataError, match=r"000000\.label, byte 20: has 20 bytes, but 6 points need 24"
+    ):
         open_sequence(str(sequence_folder))[0]
 
 
 @pytest.fixture(scope="module")
 def unpacked(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first frames of the real sequences in their native layout, and of one in the benchmark's layout."""
+    """The first frames of the real sequences in their native layout, and of one in the benchmark's
+    layout.
+    """
     out = tmp_path_factory.mktemp("real")
     code = (
         f"import pathlib, runpy; script = runpy.run_path({str(shared / 'data/unpack.py')!r})\n"
         "for name in ('tracking', 'odometry'):\n"
-        f"    script[name].__globals__['range'] = lambda frames: range(min(frames, {FRAMES}))  # all would take long\n"
+        f"    script[name].__globals__['range'] = lambda frames: range(min(frames, {FRAMES}))  # "
+        "all would take long\n"
         f"    script[name](pathlib.Path({str(out)!r}))\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
@@ -161,7 +187,9 @@ def test_real_tracking_agrees_with_its_conversion_to_the_benchmark_layout(unpack
         start += len(scan)
     assert start == len(cloud)
     assert (cloud["intensity"] == 1).sum() > 1000
-    np.testing.assert_allclose(sequence[FRAMES - 1].T_world_sensor, converted[FRAMES - 1].T_world_sensor, atol=1e-5)
+    np.testing.assert_allclose(
+        sequence[FRAMES - 1].T_world_sensor, converted[FRAMES - 1].T_world_sensor, atol=1e-5
+    )
 
 
 def test_real_semantickitti_opens(unpacked: Path) -> None:

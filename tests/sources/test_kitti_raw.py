@@ -28,7 +28,8 @@ def test_tracklets_become_labels(drive: Path) -> None:
     assert scan.labels.tolist() == [1, 255, 255, 0, 0, 255]  # type: ignore[union-attr]
     assert scan.instances.tolist() == [1, 0, 0, 2, 0, 0]  # type: ignore[union-attr]
     assert [scan.class_names[kind] for kind in scan.classes[[0, 3]].tolist()] == ["car", "van"]  # type: ignore[index]
-    assert sequence[1].labels.tolist() == [0, 0, 0, 0, 0, 255]  # type: ignore[union-attr]  # the car has moved on
+    # the car has moved on
+    assert sequence[1].labels.tolist() == [0, 0, 0, 0, 0, 255]  # type: ignore[union-attr]
     assert (sequence[2].instances == 0).all()  # the van's track has ended
 
 
@@ -38,9 +39,15 @@ def test_frames_keep_their_numbers_and_stamps(drive: Path) -> None:
     assert (sequence.name, sequence.sensor.name) == ("kitti_raw_2011_09_26_drive_0009", "hdl64e")
     assert [sequence[k].index for k in range(len(sequence))] == [0, 1, 3]
     start = 1_317_042_145_000_000_000
-    assert [sequence[k].stamp_ns for k in range(3)] == [start + 1, start + 100_000_001, start + 300_000_001]
+    assert [sequence[k].stamp_ns for k in range(3)] == [
+        start + 1,
+        start + 100_000_001,
+        start + 300_000_001,
+    ]
     path = drive / "velodyne_points/timestamps.txt"
-    path.write_text("".join(path.read_text().splitlines(keepends=True)[:3]))  # a line per sweep instead of per frame
+    path.write_text(
+        "".join(path.read_text().splitlines(keepends=True)[:3])
+    )  # a line per sweep instead of per frame
     assert open_sequence(str(drive))[2].stamp_ns == start + 200_000_001
     path.unlink()
     assert open_sequence(str(drive))[0].stamp_ns is None
@@ -48,7 +55,12 @@ def test_frames_keep_their_numbers_and_stamps(drive: Path) -> None:
 
 def test_poses_of_the_imu_are_converted(drive: Path) -> None:
     write_oxts(drive / "oxts/data/0000000003.txt", yaw=np.pi)
-    expected = [[-1, 0, 0, -2], [0, -1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]  # the sensor is 1 m ahead of the IMU
+    expected = [
+        [-1, 0, 0, -2],
+        [0, -1, 0, 0],
+        [0, 0, 1, 0],
+        [0, 0, 0, 1],
+    ]  # the sensor is 1 m ahead of the IMU
     np.testing.assert_allclose(open_sequence(str(drive))[2].T_world_sensor, expected, atol=1e-9)
 
 
@@ -81,7 +93,9 @@ def test_a_drive_is_found_from_related_folders(drive: Path, inner: str) -> None:
 
 def test_several_drives_are_reported(drive: Path) -> None:
     shutil.copytree(drive, drive.parent / "2011_09_26_drive_0011_sync")
-    with pytest.raises(DataError, match="several drives: 2011_09_26_drive_0009_sync, 2011_09_26_drive_0011_sync"):
+    with pytest.raises(
+        DataError, match="several drives: 2011_09_26_drive_0009_sync, 2011_09_26_drive_0011_sync"
+    ):
         open_sequence(str(drive.parent))
 
 
@@ -96,16 +110,36 @@ def test_several_drives_are_reported(drive: Path) -> None:
             "2011-09-26 13:02:25\n",
             r"timestamps\.txt: has only 1 lines, but there is a sweep 3",
         ),
-        ("velodyne_points/timestamps.txt", "a\n\nb\nc\n", r"timestamps\.txt, line 1: not a valid time"),
-        ("tracklet_labels.xml", "<boost_serialization><tracklets>", r"tracklet_labels\.xml, line 1: not valid XML"),
-        ("tracklet_labels.xml", "<boost_serialization/>", r"tracklet_labels\.xml: the element <tracklets> is missing"),
+        (
+            "velodyne_points/timestamps.txt",
+            "a\n\nb\nc\n",
+            r"timestamps\.txt, line 1: not a valid time",
+        ),
+        (
+            "tracklet_labels.xml",
+            "<boost_serialization><tracklets>",
+            r"tracklet_labels\.xml, line 1: not valid XML",
+        ),
+        (
+            "tracklet_labels.xml",
+            "<boost_serialization/>",
+            r"tracklet_labels\.xml: the element <tracklets> is missing",
+        ),
         (
             "tracklet_labels.xml",
             "<a><tracklets><item/></tracklets></a>",
             r"tracklet_labels\.xml, tracklet 0: a number is missing",
         ),
-        ("../calib_imu_to_velo.txt", None, r"calib_imu_to_velo\.txt: cannot be read .*next to its drives"),
-        ("../calib_imu_to_velo.txt", "R: 1 0 0 0 1 0 0 0 1\n", r"calib_imu_to_velo\.txt: line T .*is missing"),
+        (
+            "../calib_imu_to_velo.txt",
+            None,
+            r"calib_imu_to_velo\.txt: cannot be read .*next to its drives",
+        ),
+        (
+            "../calib_imu_to_velo.txt",
+            "R: 1 0 0 0 1 0 0 0 1\n",
+            r"calib_imu_to_velo\.txt: line T .*is missing",
+        ),
         ("../calib_velo_to_cam.txt", "T: 1 2 3\n", r"calib_velo_to_cam\.txt: line R is missing"),
         (
             "../calib_cam_to_cam.txt",
@@ -114,7 +148,9 @@ def test_several_drives_are_reported(drive: Path) -> None:
         ),
     ],
 )
-def test_missing_and_corrupt_files_are_reported(drive: Path, name: str, content: str | None, problem: str) -> None:
+def test_missing_and_corrupt_files_are_reported(
+    drive: Path, name: str, content: str | None, problem: str
+) -> None:
     (drive / name).unlink()
     if content is not None:
         (drive / name).write_text(content)
@@ -146,8 +182,12 @@ def test_poses_in_the_folder_select_semantickitti(tmp_path: Path) -> None:
 def test_odometry_with_too_few_poses_is_reported(tmp_path: Path) -> None:
     folder = write_odometry(tmp_path)
     (tmp_path / "poses/00.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
-    with pytest.raises(DataError, match=r"poses/00\.txt: has only 1 lines, but there is a sweep 000002\.bin"):
+    with pytest.raises(
+        DataError, match=r"poses/00\.txt: has only 1 lines, but there is a sweep 000002\.bin"
+    ):
         open_sequence(str(folder))
     write_odometry(tmp_path, number="01")
-    with pytest.raises(DataError, match=r"several sequences: 00, 01\. Choose one, for example sequences/00"):
+    with pytest.raises(
+        DataError, match=r"several sequences: 00, 01\. Choose one, for example sequences/00"
+    ):
         open_sequence(str(tmp_path))

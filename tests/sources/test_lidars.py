@@ -42,8 +42,12 @@ def bag(tmp_path: Path) -> Path:
 
 
 def test_two_topics_of_a_bag(bag: Path) -> None:
-    assert_alternating(dv.open(f"{bag}#/front,/rear", extrinsic=WRITTEN.format(a="/front", b="/rear")))
-    found = dv.open(f"{bag}#/rear,/front", frames="2:4", extrinsic=WRITTEN.format(a="/front", b="/rear"))
+    assert_alternating(
+        dv.open(f"{bag}#/front,/rear", extrinsic=WRITTEN.format(a="/front", b="/rear"))
+    )
+    found = dv.open(
+        f"{bag}#/rear,/front", frames="2:4", extrinsic=WRITTEN.format(a="/front", b="/rear")
+    )
     np.testing.assert_allclose(found[0].T_world_sensor, POSES[1] @ MOUNTS["rear"], atol=1e-6)
 
 
@@ -60,7 +64,12 @@ def test_two_folders(tmp_path: Path) -> None:
 
 
 def test_mistakes(bag: Path) -> None:
-    with pytest.raises(UsageError, match=r"extrinsic=./front=1.: must name each lidar once\. Give /front=X,Y,Z,ROLL"):
+    with pytest.raises(
+        UsageError,
+        match=r"extrinsic=./front=1.: must name each lidar once\. Give /front=X,Y,Z,ROLL",
+    ):
         dv.open(f"{bag}#/front,/rear", extrinsic="/front=1")
-    with pytest.raises(UsageError, match=r"poses are estimated for one lidar\. Estimate them for .*#/front, then"):
+    with pytest.raises(
+        UsageError, match=r"poses are estimated for one lidar\. Estimate them for .*#/front, then"
+    ):
         dv.open(f"{bag}#/front,/rear", poses="small-gicp")

@@ -22,12 +22,18 @@ XYZ = np.random.default_rng(1).uniform(-20, 20, (N, 3)) + UTM
 
 def write(tmp_path: Path, times: np.ndarray | None, suffix: str = ".laz") -> tuple[Path, Path]:
     """A map, and a trajectory of 2 m/s along x over one second."""
-    fields = {"intensity": np.arange(N).astype(np.uint16)} | ({} if times is None else {"gps_time": times})
+    fields = {"intensity": np.arange(N).astype(np.uint16)} | (
+        {} if times is None else {"gps_time": times}
+    )
     path = tmp_path / f"survey{suffix}"
-    with open_map(path, {name: array.dtype for name, array in fields.items()}, UTM.round(-3)) as append:
+    with open_map(
+        path, {name: array.dtype for name, array in fields.items()}, UTM.round(-3)
+    ) as append:
         append(XYZ, fields)
     poses = np.array([at(*(UTM + np.array([0.2 * k, 0, 0])), 0.0) for k in range(11)])
-    return path, write_tum_poses(tmp_path / "trajectory.tum", [START + k * 100_000_000 for k in range(11)], poses)
+    return path, write_tum_poses(
+        tmp_path / "trajectory.tum", [START + k * 100_000_000 for k in range(11)], poses
+    )
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e9])  # GPS seconds, or adjusted as in LAS files
@@ -51,10 +57,14 @@ def test_points_return_to_their_scans(tmp_path: Path, offset: float) -> None:
 
 def test_the_reason_is_clear_where_it_cannot_be_split(tmp_path: Path) -> None:
     path, poses = write(tmp_path, None, ".pcd")
-    with pytest.raises(DataError, match=r"merged map without a time per point\. Methods must know from where"):
+    with pytest.raises(
+        DataError, match=r"merged map without a time per point\. Methods must know from where"
+    ):
         dv.open(path, poses=poses)
     path, poses = write(tmp_path, SECONDS)
-    with pytest.raises(DataError, match=r"its field gps_time can split it by a trajectory\. Give the trajectory"):
+    with pytest.raises(
+        DataError, match=r"its field gps_time can split it by a trajectory\. Give the trajectory"
+    ):
         dv.open(path)
     with pytest.raises(DataError, match="points and poses do not overlap in time"):
         dv.open(path, poses=poses)

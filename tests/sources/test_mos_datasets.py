@@ -50,7 +50,9 @@ def test_files_missing_from_helimos_are_reported(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"val\.txt: contains something other than frame numbers"):
         open_sequence(f"helimos_val:{root}")[0]
     (root / "Ouster/poses.txt").unlink()
-    with pytest.raises(DataError, match=r"poses\.txt: does not exist\. HeLiMOS's toolbox writes it"):
+    with pytest.raises(
+        DataError, match=r"poses\.txt: does not exist\. HeLiMOS's toolbox writes it"
+    ):
         open_sequence(f"helimos:{root}")
 
 
@@ -58,7 +60,11 @@ def test_labels_of_doals_belong_to_scans_by_stamp(tmp_path: Path) -> None:
     folder = write_doals(tmp_path)
     sequence = open_sequence(str(folder))
     assert isinstance(sequence, DoalsSequence)
-    assert (sequence.name, sequence.sensor.name, sequence.has_labels) == ("doals_hauptgebaeude_1", "os1_64", True)
+    assert (sequence.name, sequence.sensor.name, sequence.has_labels) == (
+        "doals_hauptgebaeude_1",
+        "os1_64",
+        True,
+    )
     labels = [sequence[k].labels for k in range(len(sequence))]
     assert [labels[k].tolist() for k in (1, 3)] == [[0, 1, 1, 0, 0], [0, 0, 0, 0, 1]]
     assert all((labels[k] == 255).all() for k in (0, 2, 4))
@@ -68,7 +74,12 @@ def test_labels_of_doals_belong_to_scans_by_stamp(tmp_path: Path) -> None:
 def test_a_bag_of_doals(tmp_path: Path) -> None:
     folder = tmp_path / "station/sequence_2"
     folder.mkdir(parents=True)
-    points = np.arange(12.0).reshape(4, 3) * [[0], [1], [1], [1]]  # the first one is at the origin: no return
+    points = np.arange(12.0).reshape(4, 3) * [
+        [0],
+        [1],
+        [1],
+        [1],
+    ]  # the first one is at the origin: no return
     with BagWriter(folder / "2020-02-20-17-35-27") as bag:
         for k in range(3):
             for topic in ("/os1_cloud_node/points", "/camera/points"):
@@ -78,7 +89,11 @@ def test_a_bag_of_doals(tmp_path: Path) -> None:
     for path in (folder, bag.path):
         sequence = open_sequence(str(path))
         assert sequence.name == "doals_station_2"
-        assert [sequence[k].labels.tolist() for k in range(3)] == [[255] * 4, [255, 0, 1, 0], [255] * 4]
+        assert [sequence[k].labels.tolist() for k in range(3)] == [
+            [255] * 4,
+            [255, 0, 1, 0],
+            [255] * 4,
+        ]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.nuscenes_files import START, SWEEPS, ego_points, lidar_sweep, write_nuscenes, write_scene
+from helpers.nuscenes_files import (
+    START,
+    SWEEPS,
+    ego_points,
+    lidar_sweep,
+    write_nuscenes,
+    write_scene,
+)
 
 from dynaviz.errors import DataError
 from dynaviz.sources.datasets import open_sequence
@@ -24,7 +31,11 @@ def root(tmp_path: Path) -> Path:
 def test_keyframes_and_sweeps_are_in_order_of_time(root: Path) -> None:
     sequence = open_sequence(str(root))
     assert isinstance(sequence, NuScenesSequence)
-    assert (sequence.name, sequence.sensor.name, len(sequence)) == ("nuscenes_scene-0061", "hdl32e", SWEEPS)
+    assert (sequence.name, sequence.sensor.name, len(sequence)) == (
+        "nuscenes_scene-0061",
+        "hdl32e",
+        SWEEPS,
+    )
     assert [sequence[k].index for k in range(SWEEPS)] == list(range(SWEEPS))
     assert sequence[2].stamp_ns == (START + 200_000) * 1000
     assert sequence.facts == {"keyframes": "3", "objects with boxes": "3, of which 2 move"}
@@ -35,7 +46,9 @@ def test_the_world_frame_has_the_axes_of_the_map_and_starts_at_the_sensor(root: 
     for k in (0, 7):
         scan = sequence[k]
         np.testing.assert_allclose(scan.position, [k, 0, 0], atol=1e-9)
-        np.testing.assert_allclose(scan.points, np.add(ego_points(k), (k - 1.0, 0, -1.8)), atol=1e-5)
+        np.testing.assert_allclose(
+            scan.points, np.add(ego_points(k), (k - 1.0, 0, -1.8)), atol=1e-5
+        )
         np.testing.assert_allclose(scan.T_world_sensor[:3, 1], [1, 0, 0], atol=1e-12)
 
 
@@ -59,7 +72,8 @@ def test_classes_and_instances(root: Path) -> None:
     scan = open_sequence(str(root))[4]
     names = [scan.class_names[kind] for kind in scan.classes.tolist()]  # type: ignore[union-attr]
     assert names == ["vehicle.car", "vehicle.bus.rigid", "vehicle.car", "none", "none"]
-    assert scan.instances.tolist() == [1, 3, 2, 0, 0]  # type: ignore[union-attr]  # ahead, lost, parked
+    # ahead, lost, parked
+    assert scan.instances.tolist() == [1, 3, 2, 0, 0]  # type: ignore[union-attr]
 
 
 def test_boxes_rotate_the_short_way_between_keyframes(root: Path) -> None:
@@ -77,10 +91,16 @@ def test_boxes_rotate_the_short_way_between_keyframes(root: Path) -> None:
     path.write_text(json.dumps(rows))
     sequence = open_sequence(str(root))
     assert isinstance(sequence, NuScenesSequence)
-    corner, frame = np.array([1.95, 0.95, 0.5]), 3  # in the box, which is rotated by 4 degrees in this frame
+    # in the box, which is rotated by 4 degrees in this frame
+    corner, frame = (
+        np.array([1.95, 0.95, 0.5]),
+        3,
+    )
     turn = np.radians(4)
-    ahead = [(20 + np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y, z)
-             for x, y, z in (corner, corner * (1.06, 1, 1), corner * (-1, 1, 1), corner * (-1, 1.13, 1))]  # fmt: skip
+    ahead = [
+        (20 + np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y, z)
+        for x, y, z in (corner, corner * (1.06, 1, 1), corner * (-1, 1, 1), corner * (-1, 1.13, 1))
+    ]
     lidar_sweep(ahead).tofile(root / f"sweeps/LIDAR_TOP/scene-0061__{frame}.pcd.bin")
     assert sequence[frame].labels.tolist() == [1, 255, 1, 255]  # type: ignore[union-attr]
 
@@ -102,7 +122,9 @@ def test_without_the_folder_sweeps_there_are_only_keyframes(root: Path) -> None:
 def test_several_scenes_are_reported(root: Path) -> None:
     write_scene(root, "scene-0103")
     with pytest.raises(
-        DataError, match=r"several scenes: scene-0061, scene-0103\. Choose one, for example nuscenes/scene-0061"
+        DataError,
+        match=r"several scenes: scene-0061, scene-0103\. Choose one, for example "
+        r"nuscenes/scene-0061",
     ):
         open_sequence(str(root))
     for path in (f"{root}/scene-0103", f"nuscenes:{root}/v1.0-mini/scene-0103"):
@@ -110,7 +132,8 @@ def test_several_scenes_are_reported(root: Path) -> None:
         assert (sequence.name, len(sequence)) == ("nuscenes_scene-0103", SWEEPS)
         assert sequence[6].labels.tolist() == [1, 0, 1, 255, 0]  # type: ignore[union-attr]
     with pytest.raises(
-        DataError, match=r"nuscenes: has no scene scene-7\. Give one of its scenes: scene-0061, scene-0103"
+        DataError,
+        match=r"nuscenes: has no scene scene-7\. Give one of its scenes: scene-0061, scene-0103",
     ):
         open_sequence(f"{root}/scene-7")
 
@@ -121,7 +144,16 @@ def test_a_scene_is_found_from_related_folders(root: Path, inner: str) -> None:
     assert open_sequence(str(root / inner)).name == "nuscenes_scene-0061"
 
 
-TABLES = ("scene", "sample", "category", "sensor", "calibrated_sensor", "sample_data", "ego_pose", "sample_annotation")
+TABLES = (
+    "scene",
+    "sample",
+    "category",
+    "sensor",
+    "calibrated_sensor",
+    "sample_data",
+    "ego_pose",
+    "sample_annotation",
+)
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -135,15 +167,42 @@ def test_truncated_tables_are_reported(root: Path, table: str) -> None:
 @pytest.mark.parametrize(
     ("table", "key", "value", "problem"),
     [
-        ("sample_data", "timestamp", None, r"sample_data\.json, record 0: key timestamp is missing"),
-        ("ego_pose", "rotation", [0, 0, 0, 0], r"ego_pose\.json, token p-.*: no valid translation and rotation"),
+        (
+            "sample_data",
+            "timestamp",
+            None,
+            r"sample_data\.json, record 0: key timestamp is missing",
+        ),
+        (
+            "ego_pose",
+            "rotation",
+            [0, 0, 0, 0],
+            r"ego_pose\.json, token p-.*: no valid translation and rotation",
+        ),
         ("ego_pose", "token", "other", r"ego_pose\.json: pose p-.* is missing"),
-        ("sample_annotation", "translation", ["a", 2, 3], r"sample_annotation\.json, token a-.*: no valid translation"),
-        ("sample_annotation", "size", [1, 2], r"sample_annotation\.json, token a-.*: no valid size"),
-        ("sensor", "channel", "LIDAR_FRONT", r"sample_data\.json: has no LIDAR_TOP data for this scene"),
+        (
+            "sample_annotation",
+            "translation",
+            ["a", 2, 3],
+            r"sample_annotation\.json, token a-.*: no valid translation",
+        ),
+        (
+            "sample_annotation",
+            "size",
+            [1, 2],
+            r"sample_annotation\.json, token a-.*: no valid size",
+        ),
+        (
+            "sensor",
+            "channel",
+            "LIDAR_FRONT",
+            r"sample_data\.json: has no LIDAR_TOP data for this scene",
+        ),
     ],
 )
-def test_invalid_records_are_reported(root: Path, table: str, key: str, value: Any, problem: str) -> None:
+def test_invalid_records_are_reported(
+    root: Path, table: str, key: str, value: Any, problem: str
+) -> None:
     path = root / f"v1.0-mini/{table}.json"
     rows = json.loads(path.read_text())
     for row in rows:
@@ -159,7 +218,9 @@ def test_invalid_records_are_reported(root: Path, table: str, key: str, value: A
 def test_missing_and_truncated_sweeps_are_reported(root: Path) -> None:
     path = root / "sweeps/LIDAR_TOP/scene-0061__3.pcd.bin"
     path.write_bytes(path.read_bytes()[:-4])
-    with pytest.raises(DataError, match=r"__3\.pcd\.bin, byte 80: ends in the middle of a point: 96 bytes .* 20"):
+    with pytest.raises(
+        DataError, match=r"__3\.pcd\.bin, byte 80: ends in the middle of a point: 96 bytes .* 20"
+    ):
         open_sequence(str(root))[3]
     path.unlink()
     with pytest.raises(DataError, match=r"__3\.pcd\.bin: does not exist"):

@@ -25,14 +25,20 @@ LASTS = 0.1  # seconds
 
 
 def test_points_of_a_moving_sensor_meet_in_the_middle_of_the_sweep() -> None:
-    """Every point is the same place, measured from another position of a sensor that drives and turns."""
+    """Every point is the same place, measured from another position of a sensor that drives and
+    turns.
+    """
     motion = geometry.pose(STEP, [np.cos(0.02), 0.0, 0.0, np.sin(0.02)])
     times = np.linspace(0.0, LASTS, 51)
     place = np.array([5.0, -2.0, 1.0])
     half = geometry.pose(STEP / 2, [np.cos(0.01), 0.0, 0.0, np.sin(0.01)])
-    seen = np.array([geometry.apply(geometry.inverse(_at(share)), place[None])[0] for share in times / LASTS])
+    seen = np.array(
+        [geometry.apply(geometry.inverse(_at(share)), place[None])[0] for share in times / LASTS]
+    )
     found = deskewed_to_middle(seen, times + 7.0, motion)
-    np.testing.assert_allclose(found, np.tile(geometry.apply(geometry.inverse(half), place[None]), (51, 1)), atol=1e-5)
+    np.testing.assert_allclose(
+        found, np.tile(geometry.apply(geometry.inverse(half), place[None]), (51, 1)), atol=1e-5
+    )
     np.testing.assert_array_equal(deskewed_to_middle(seen, np.full(51, 3.0), motion), seen)
 
 
@@ -59,7 +65,9 @@ def test_the_first_sweeps_of_a_moving_sensor_do_not_displace_the_later_ones(
     poses = np.array(found)
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     np.testing.assert_allclose(steps, np.linalg.norm(STEP), atol=tolerance)
-    np.testing.assert_allclose(poses[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2), [np.eye(3)] * 6, atol=1e-12)
+    np.testing.assert_allclose(
+        poses[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2), [np.eye(3)] * 6, atol=1e-12
+    )
     assert kind.reference == 0.5
 
 
@@ -91,7 +99,10 @@ class Recorder:
 def test_the_second_pass_deskews_with_the_motion_that_the_first_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Straight lines between the poses of sweeps would displace these points by 7 cm; the table follows the motion."""
+    """Straight lines between the poses of sweeps would displace these points by 7 cm.
+
+    The table follows the motion.
+    """
     monkeypatch.setattr(registry, "load", lambda kind, name: Recorder)
     monkeypatch.setattr(Recorder, "given", [])
     world = np.random.default_rng(0).normal(0, 20, (400, 3))
@@ -101,13 +112,23 @@ def test_the_second_pass_deskews_with_the_motion_that_the_first_found(
         seen = geometry.inverse(bumpy((k + shares) * LASTS))
         points = np.einsum("nij,nj->ni", seen[:, :3, :3], world) + seen[:, :3, 3]
         stamp = start + round(k * LASTS * 1e9)
-        sweeps.append(Scan(k, points.astype(np.float32), np.eye(4), stamp, times=(shares * LASTS).astype(np.float32)))
+        sweeps.append(
+            Scan(
+                k,
+                points.astype(np.float32),
+                np.eye(4),
+                stamp,
+                times=(shares * LASTS).astype(np.float32),
+            )
+        )
     found = estimate("any", InMemory(sweeps), tmp_path, raw=True)
     assert found.deskewed
     assert [times is None for _, times in Recorder.given] == [False] * 12 + [True] * 12
     for k in range(2, 10):  # the ends of a trajectory are extrapolated
         middle = geometry.inverse(bumpy(np.array([(k + 0.5) * LASTS]))[0])
-        np.testing.assert_allclose(Recorder.given[12 + k][0], geometry.apply(middle, world), atol=0.02)
+        np.testing.assert_allclose(
+            Recorder.given[12 + k][0], geometry.apply(middle, world), atol=0.02
+        )
     table = read_poses(found.file)
     assert table.stamps is not None
     seconds = (table.stamps - start) / 1e9

@@ -14,7 +14,9 @@ from dynaviz.sources.datasets import open_sequence
 
 
 def drive(folder: Path) -> Path:
-    write_pcd(folder / "pcd/000000.pcd", {axis: np.zeros(2, np.float32) for axis in "xyz"}, np.eye(4))
+    write_pcd(
+        folder / "pcd/000000.pcd", {axis: np.zeros(2, np.float32) for axis in "xyz"}, np.eye(4)
+    )
     return folder
 
 
@@ -25,7 +27,8 @@ def test_a_missing_path_is_reported(tmp_path: Path) -> None:
 
 def test_an_empty_folder_is_reported_with_a_hint(tmp_path: Path) -> None:
     with pytest.raises(
-        DataError, match=r"found an empty folder\. List the supported layouts with 'dynaviz list datasets'"
+        DataError,
+        match=r"found an empty folder\. List the supported layouts with 'dynaviz list datasets'",
     ):
         open_sequence(str(tmp_path))
 
@@ -65,8 +68,12 @@ def test_the_sensor_can_be_set(tmp_path: Path) -> None:
     assert open_sequence(str(drive(tmp_path)), sensor="vlp16").sensor.rings == 16
 
 
-def test_a_broken_plug_in_does_not_affect_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = registry.PluginHandle("datasets", "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0")
+def test_a_broken_plug_in_does_not_affect_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = registry.PluginHandle(
+        "datasets", "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0"
+    )
     handles = registry.handles
 
     monkeypatch.setattr(registry, "handles", lambda kind: [broken, *handles(kind)])

@@ -27,17 +27,26 @@ FAR = np.array([512_000.0, 5_403_000.0, 0.0])
 def disturbed(shift: float, turn: float) -> list[Scan]:
     """Scans placed by poses with independent errors, standard deviations in metres and degrees."""
     random = np.random.default_rng(3)
-    errors = transforms(random.normal(0, shift, (FRAMES, 3)), np.radians(random.normal(0, turn, (FRAMES, 3))))
+    errors = transforms(
+        random.normal(0, shift, (FRAMES, 3)), np.radians(random.normal(0, turn, (FRAMES, 3)))
+    )
     found = []
     for scan, error in zip(TRUE, errors, strict=True):
-        T = geometry.compose(geometry.compose(scan.T_world_sensor, error), geometry.inverse(scan.T_world_sensor))
+        T = geometry.compose(
+            geometry.compose(scan.T_world_sensor, error), geometry.inverse(scan.T_world_sensor)
+        )
         found.append(moved(scan, T))
     return found
 
 
 def spread(sequence: dv.Sequence) -> float:
-    """Metres: root mean square distance of points from where exact poses place them, after the best common motion."""
-    found, true = (np.concatenate([s[k].points.astype(np.float64) for k in range(FRAMES)]) for s in (sequence, TRUE))
+    """Metres: root mean square distance of points from where exact poses place them, after the best
+    common motion.
+    """
+    found, true = (
+        np.concatenate([s[k].points.astype(np.float64) for k in range(FRAMES)])
+        for s in (sequence, TRUE)
+    )
     a, b = found - found.mean(0), true - true.mean(0)
     turn, *_ = Rotation.align_vectors(b[::50], a[::50])
     return float(np.sqrt(((turn.apply(a) - b) ** 2).sum(1).mean()))
@@ -74,7 +83,10 @@ def test_exact_poses_stay() -> None:
 
 
 def test_scans_that_do_not_match_keep_their_poses() -> None:
-    empty = [Scan(k, np.zeros((0, 3), np.float32), T) for k, T in enumerate(np.tile(np.eye(4), (5, 1, 1)))]
+    empty = [
+        Scan(k, np.zeros((0, 3), np.float32), T)
+        for k, T in enumerate(np.tile(np.eye(4), (5, 1, 1)))
+    ]
     found = refine(InMemory(empty))
     np.testing.assert_array_equal(found.poses, np.tile(np.eye(4), (5, 1, 1)))
     assert (found.refinement.frames, found.refinement.after) == (0, None)
@@ -96,7 +108,14 @@ def write(folder: Path, scans: list[Scan], offset: F64) -> Path:
 def test_poses_are_refined_once_and_kept_in_the_coordinates_of_the_source(tmp_path: Path) -> None:
     scans = write(tmp_path / "scans", disturbed(0.04, 0.2), FAR)
     results = [
-        dv.clean(scans, tmp_path / "map.npz", method="octomap", refine_poses=True, record="none", threads=1).result
+        dv.clean(
+            scans,
+            tmp_path / "map.npz",
+            method="octomap",
+            refine_poses=True,
+            record="none",
+            threads=1,
+        ).result
         for _ in range(2)
     ]
     first, second = (result.pose_refinement for result in results)
@@ -111,7 +130,15 @@ def test_poses_are_refined_once_and_kept_in_the_coordinates_of_the_source(tmp_pa
     kept = read_poses(tmp_path / "map_run/poses_refined.csv").poses
     assert np.abs(kept[:, :3, 3] - FAR).max() < 50
     again = dv.open(scans, poses=tmp_path / "map_run/poses_refined.csv")
-    np.testing.assert_array_equal(again[3].T_world_sensor, results[0].answers.sequence[3].T_world_sensor)
-    other = dv.run("octomap", dv.open(scans, frames="1:"), out=tmp_path / "map_run", refine_poses=True, threads=1)
+    np.testing.assert_array_equal(
+        again[3].T_world_sensor, results[0].answers.sequence[3].T_world_sensor
+    )
+    other = dv.run(
+        "octomap",
+        dv.open(scans, frames="1:"),
+        out=tmp_path / "map_run",
+        refine_poses=True,
+        threads=1,
+    )
     assert other.pose_refinement is not None
     assert not other.pose_refinement.reused

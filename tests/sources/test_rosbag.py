@@ -25,7 +25,9 @@ def placed(xyz: np.ndarray, T: np.ndarray) -> np.ndarray:
     return xyz.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
 
 
-def assert_equal(sequence: Sequence, poses: np.ndarray = POSES, clouds: np.ndarray = XYZ, first: int = 0) -> None:
+def assert_equal(
+    sequence: Sequence, poses: np.ndarray = POSES, clouds: np.ndarray = XYZ, first: int = 0
+) -> None:
     assert len(sequence) == len(poses)
     for k, T in enumerate(poses):
         scan = sequence[k]
@@ -58,7 +60,12 @@ def test_frames_in_any_order_and_from_other_threads(tmp_path: Path) -> None:
     wrong: list[int] = []
 
     def read() -> None:
-        wrong.extend(k for _ in range(5) for k in range(N) if not np.array_equal(sequence[k].points, expected[k]))
+        wrong.extend(
+            k
+            for _ in range(5)
+            for k in range(N)
+            if not np.array_equal(sequence[k].points, expected[k])
+        )
 
     threads = [threading.Thread(target=read) for _ in range(4)]
     for thread in threads:
@@ -144,8 +151,12 @@ def test_poses_of_a_pose_topic_are_lidar_poses(tmp_path: Path) -> None:
     assert_equal(dv.open(bag.path))
 
 
-def robot(path: Path, *, static: bool = True, odometry: bool = True, tf: bool = True, world: bool = False) -> Path:
-    """odom -> base_link moves, base_link -> tower -> lidar is static, and map -> odom jumps if ``world`` is set."""
+def robot(
+    path: Path, *, static: bool = True, odometry: bool = True, tf: bool = True, world: bool = False
+) -> Path:
+    """odom -> base_link moves, base_link -> tower -> lidar is static, and map -> odom jumps if
+    ``world`` is set.
+    """
     with BagWriter(path) as bag:
         if static:
             bag.transform(0, "base_link", "tower", at(0.5), static=True)
@@ -170,15 +181,19 @@ def test_the_mount_of_the_lidar_is_applied(tmp_path: Path, odometry: bool, tf: b
 
 def test_several_world_frames_are_reported(tmp_path: Path) -> None:
     path = robot(tmp_path / "drive", world=True)
-    with pytest.raises(DataError, match=r"several sources of poses: odom, map\. Choose one: poses=.odom"):
+    with pytest.raises(
+        DataError, match=r"several sources of poses: odom, map\. Choose one: poses=.odom"
+    ):
         dv.open(path)
     assert_equal(dv.open(path, poses="odom"), np.array([T @ MOUNT for T in POSES]))
     assert_equal(dv.open(path, poses="/odom"), np.array([T @ MOUNT for T in POSES]))
     assert_equal(
-        dv.open(path, poses="map"), np.array([at(100, k, 0, 0.1 * k) @ T @ MOUNT for k, T in enumerate(POSES)])
+        dv.open(path, poses="map"),
+        np.array([at(100, k, 0, 0.1 * k) @ T @ MOUNT for k, T in enumerate(POSES)]),
     )
     with pytest.raises(
-        UsageError, match=r"poses=.mop.: not a file, and not .* Available: /odom, tower, base_link, odom, map"
+        UsageError,
+        match=r"poses=.mop.: not a file, and not .* Available: /odom, tower, base_link, odom, map",
     ):
         dv.open(path, poses="mop")
 
@@ -197,14 +212,19 @@ def test_frames_are_connected_through_their_common_parent(tmp_path: Path) -> Non
 def test_a_missing_transform_is_reported_with_a_hint(tmp_path: Path) -> None:
     path = robot(tmp_path / "drive", static=False, tf=False)
     with pytest.raises(
-        DataError, match=r"/odom has poses of base_link, but there is no TF from lidar to it.*add poses=./odom."
+        DataError,
+        match=r"/odom has poses of base_link, but there is no TF from lidar to it.*add "
+        r"poses=./odom.",
     ):
         dv.open(path)
     with pytest.warns(
-        UserWarning, match="no TF from lidar to base_link; using the poses of /odom as those of the lidar"
+        UserWarning,
+        match="no TF from lidar to base_link; using the poses of /odom as those of the lidar",
     ):
         assert_equal(dv.open(path, poses="/odom"))
-    with pytest.raises(DataError, match=r"has no poses: .* no TF from lidar to a world frame.*poses=FILE"):
+    with pytest.raises(
+        DataError, match=r"has no poses: .* no TF from lidar to a world frame.*poses=FILE"
+    ):
         dv.open(robot(tmp_path / "other", static=False, odometry=False))
 
 
@@ -223,12 +243,15 @@ def test_several_cloud_topics_are_reported(tmp_path: Path) -> None:
             bag.cloud(k / 10, columns(XYZ[k] + 1), topic="/rear/points")
             bag.odometry(k / 10, POSES[k])
     with pytest.raises(
-        DataError, match=r"several PointCloud2 topics: /points, /rear/points\. Choose one: .*drive#/points"
+        DataError,
+        match=r"several PointCloud2 topics: /points, /rear/points\. Choose one: .*drive#/points",
     ):
         dv.open(bag.path)
     for prefix in ("", "rosbag:"):
         assert_equal(dv.open(f"{prefix}{bag.path}#/rear/points"), clouds=XYZ + 1)
-    with pytest.raises(UsageError, match=r"#/points2: no such PointCloud2 topic\. Available: /points, /rear/points"):
+    with pytest.raises(
+        UsageError, match=r"#/points2: no such PointCloud2 topic\. Available: /points, /rear/points"
+    ):
         dv.open(f"{bag.path}#/points2")
 
 
@@ -246,7 +269,8 @@ def test_clouds_outside_the_poses_are_skipped(tmp_path: Path) -> None:
             if k in (2, 3, 4):
                 bag.odometry(k / 10, POSES[k])
     with pytest.warns(
-        UserWarning, match="3 of 6 scans are outside the time span of the poses from /odom and are skipped"
+        UserWarning,
+        match="3 of 6 scans are outside the time span of the poses from /odom and are skipped",
     ):
         sequence = dv.open(bag.path)
     assert_equal(sequence, POSES[2:5], first=2)
@@ -257,7 +281,9 @@ def test_clouds_without_stamp_use_the_recording_time(tmp_path: Path) -> None:
         for k in range(N):
             bag.cloud(None, columns(XYZ[k]), recorded=k / 10)
             bag.odometry(k / 10, POSES[k])
-    with pytest.warns(UserWarning, match="6 messages of /points have no stamp; using their recording time"):
+    with pytest.warns(
+        UserWarning, match="6 messages of /points have no stamp; using their recording time"
+    ):
         assert_equal(dv.open(bag.path))
 
 
@@ -266,7 +292,9 @@ def test_odometry_without_stamp_uses_the_recording_time(tmp_path: Path) -> None:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
             bag.odometry(None, POSES[k], recorded=k / 10)
-    with pytest.warns(UserWarning, match="6 messages of /odom have no stamp; using their recording time"):
+    with pytest.warns(
+        UserWarning, match="6 messages of /odom have no stamp; using their recording time"
+    ):
         assert_equal(dv.open(bag.path))
 
 
@@ -320,7 +348,9 @@ def test_clouds_in_the_world_frame(tmp_path: Path) -> None:
             bag.cloud(k / 10, columns(placed(XYZ[k], POSES[k])), frame="odom")
             bag.odometry(k / 10, POSES[k], child="body")
     with pytest.raises(
-        DataError, match=r"clouds are already in the world frame odom of /odom.*Add points_in=.world. poses=./odom."
+        DataError,
+        match=r"clouds are already in the world frame odom of /odom.*Add points_in=.world. "
+        r"poses=./odom.",
     ):
         dv.open(bag.path)
     assert_equal(dv.open(bag.path, points_in="world", poses="/odom"))
@@ -339,7 +369,10 @@ SWEEP = np.linspace(0, 0.0999, 60)
     ],
 )
 def test_sweeps_are_deskewed(tmp_path: Path, field: str, times: np.ndarray) -> None:
-    """At 15 m/s points move by up to 1.5 m during a sweep; each ray starts at the sensor position of its time."""
+    """At 15 m/s points move by up to 1.5 m during a sweep.
+
+    Each ray starts at the sensor position of its time.
+    """
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             more = {field: times + k / 10 if field == "timestamp" else times}
@@ -377,7 +410,8 @@ def real_tracking(shared: Path, tmp_path: Path) -> Path:
     """The first frames of a real drive in the layout of KITTI tracking."""
     code = (
         f"import pathlib, runpy; script = runpy.run_path({str(shared / 'data/unpack.py')!r})\n"
-        "script['tracking'].__globals__['range'] = lambda frames: range(min(frames, 3))  # all would take long\n"
+        "script['tracking'].__globals__['range'] = lambda frames: range(min(frames, 3))  # all "
+        "would take long\n"
         f"script['tracking'](pathlib.Path({str(tmp_path)!r}))\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
@@ -385,7 +419,9 @@ def real_tracking(shared: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_bag_of_real_sweeps_gives_the_same_labels_as_the_folder(real_tracking: Path, tmp_path: Path) -> None:
+def test_a_bag_of_real_sweeps_gives_the_same_labels_as_the_folder(
+    real_tracking: Path, tmp_path: Path
+) -> None:
     from dynaviz.io.velodyne import read_velodyne
     from dynaviz.sources.datasets.kitti_tracking import KittiTrackingSequence
 
@@ -396,6 +432,8 @@ def test_a_bag_of_real_sweeps_gives_the_same_labels_as_the_folder(real_tracking:
             xyzi = read_velodyne(folder.scans[folder[k].index])
             bag.cloud(k / 10, columns(xyzi, intensity=xyzi[:, 3]), frame="velodyne")
             bag.odometry(k / 10, folder[k].T_world_sensor, child="velodyne")
-    from_bag, from_folder = (api.run("dufomap", sequence) for sequence in (dv.open(bag.path), folder))
+    from_bag, from_folder = (
+        api.run("dufomap", sequence) for sequence in (dv.open(bag.path), folder)
+    )
     assert from_bag.labels_sha256 == from_folder.labels_sha256
     assert from_bag.sequence.points > 300_000

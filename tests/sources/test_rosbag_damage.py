@@ -1,4 +1,7 @@
-"""Truncated, corrupt and missing bags, and invalid messages: each kind of damage has one expected outcome."""
+"""Truncated, corrupt and missing bags, and invalid messages.
+
+Each kind of damage has one expected outcome.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,10 @@ def replace(old: bytes, new: bytes) -> Callable[[bytes], bytes]:
 
 
 def overwrite(share: float, new: bytes) -> Callable[[bytes], bytes]:
-    """Overwrite bytes that begin at a share of the file; negative shares count from the end of the file."""
+    """Overwrite bytes that begin at a share of the file.
+
+    Negative shares count from the end of the file.
+    """
 
     def change(content: bytes) -> bytes:
         start = int(share * len(content)) if share >= 0 else len(content) - len(new)
@@ -76,7 +82,8 @@ class Damage:
     Attributes:
         change: gives the damaged content.
         error: text of the expected DataError by kind of bag; kinds without an entry are read.
-        point: the changed point, (scan, row, x, y, z), for bags that are read; None if all scans are unchanged.
+        point: the changed point, (scan, row, x, y, z), for bags that are read; None if all scans
+            are unchanged.
     """
 
     change: Callable[[bytes], bytes]
@@ -91,15 +98,20 @@ def every_kind(error: str) -> dict[str, str]:
 QUATERNION = Rotation.from_matrix(POSES[3][:3, :3]).as_quat().astype("<f8").tobytes()
 DAMAGES = {
     "changed point": Damage(
-        replace(XYZ[2, 7].astype("<f4").tobytes(), np.array([1, 2, 3], "<f4").tobytes()), {}, (2, 7, 1.0, 2.0, 3.0)
+        replace(XYZ[2, 7].astype("<f4").tobytes(), np.array([1, 2, 3], "<f4").tobytes()),
+        {},
+        (2, 7, 1.0, 2.0, 3.0),
     ),
-    "zero quaternion": Damage(replace(QUATERNION, bytes(32)), every_kind("/odom: invalid pose .*quaternion")),
+    "zero quaternion": Damage(
+        replace(QUATERNION, bytes(32)), every_kind("/odom: invalid pose .*quaternion")
+    ),
     "renamed frame": Damage(replace(b"lidar", b"laser"), {}),
     # ROS 2 bags also have the types in metadata.yaml, which then names a topic without messages.
     "unknown type": Damage(
         replace(b"PointCloud2", b"PointCloud9"),
         {
-            "ros1": "has no PointCloud2 topic, only nav_msgs/msg/Odometry, sensor_msgs/msg/PointCloud9",
+            "ros1": "has no PointCloud2 topic, only nav_msgs/msg/Odometry, "
+            "sensor_msgs/msg/PointCloud9",
             "sqlite3": "no TF from the clouds to it",
             "mcap": "no TF from the clouds to it",
         },
@@ -134,7 +146,8 @@ def test_each_kind_of_damage_has_its_outcome(tmp_path: Path, name: str, kind: st
     [
         (
             {"cut": 5},
-            r"message 0 of /points: invalid cloud: 1 x 60 points of 12 bytes need 720 bytes, the message has 715",
+            r"message 0 of /points: invalid cloud: 1 x 60 points of 12 bytes need 720 bytes, the "
+            r"message has 715",
         ),
         ({"only": "xy"}, r"invalid cloud: field z is missing \(found: x y\)"),
     ],
@@ -142,7 +155,9 @@ def test_each_kind_of_damage_has_its_outcome(tmp_path: Path, name: str, kind: st
 def test_invalid_clouds_are_reported(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     only = change.pop("only", "xyz")
     with BagWriter(tmp_path / "drive") as bag:
-        bag.cloud(0, {axis: column for axis, column in columns(XYZ[0]).items() if axis in only}, **change)
+        bag.cloud(
+            0, {axis: column for axis, column in columns(XYZ[0]).items() if axis in only}, **change
+        )
         bag.odometry(0, POSES[0])
     with pytest.raises(DataError, match=message):
         dv.open(bag.path)[0]
@@ -163,7 +178,9 @@ def test_an_invalid_pose_is_reported(tmp_path: Path) -> None:
         dv.open(bag.path)
 
 
-def test_without_rosbags_the_error_names_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_rosbags_the_error_names_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = drive(tmp_path / "drive")
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(MissingDependency, match="pip install rosbags"):

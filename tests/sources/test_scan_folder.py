@@ -1,4 +1,6 @@
-"""Folders of scans in every format, with poses in every format, matched by stamp, number or order."""
+"""Folders of scans in every format, with poses in every format, matched by stamp,
+number or order.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.bags import START, at
-from helpers.scan_folders import POSES, STAMPS, WRITERS, XYZ, N, write_kitti_poses, write_scans, write_tum_poses
+from helpers.scan_folders import (
+    POSES,
+    STAMPS,
+    WRITERS,
+    XYZ,
+    N,
+    write_kitti_poses,
+    write_scans,
+    write_tum_poses,
+)
 
 import dynaviz as dv
 from dynaviz import api
@@ -37,7 +48,10 @@ def test_every_format_of_scans(tmp_path: Path, suffix: str) -> None:
     assert isinstance(base_of(sequence), ScanFolderSequence)
     assert_equal(sequence)
     assert [sequence[k].index for k in range(N)] == list(range(N))
-    assert base_of(sequence).facts == {"poses": "poses.txt (KITTI), by order", "points in": "sensor frame"}
+    assert base_of(sequence).facts == {
+        "poses": "poses.txt (KITTI), by order",
+        "points in": "sensor frame",
+    }
 
 
 @pytest.mark.parametrize("inner", ["", "clouds"])
@@ -62,7 +76,9 @@ NAMES = [f"cloud_{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in STAMPS]
 
 @pytest.mark.parametrize("names", [NAMES, [str(stamp) for stamp in STAMPS]])
 def test_by_stamp_with_interpolation(tmp_path: Path, names: list[str]) -> None:
-    """Poses at twice the rate of the scans, shifted so that each scan lies halfway between two poses."""
+    """Poses at twice the rate of the scans, shifted so that each scan lies halfway between two
+    poses.
+    """
     write_scans(tmp_path, ".ply", names)
     between = [START - 25_000_000 + k * 50_000_000 for k in range(2 * N)]
     fine = np.array([at(k / 2 - 0.25, 0, 0, 0.1 * (k / 2 - 0.25)) for k in range(2 * N)])
@@ -84,7 +100,9 @@ def test_scans_outside_the_poses_are_skipped_with_a_warning(tmp_path: Path) -> N
     write_scans(tmp_path, ".ply", NAMES)
     write_tum_poses(tmp_path / "drive.tum", STAMPS[1:4], POSES[1:4])
     with pytest.warns(
-        UserWarning, match=r"2 of 5 scans are outside the time span of the poses from .*drive\.tum and are skipped"
+        UserWarning,
+        match=r"2 of 5 scans are outside the time span of the poses from .*drive\.tum and are "
+        r"skipped",
     ):
         sequence = dv.open(tmp_path)
     assert_equal(sequence, WORLD[1:4], POSES[1:4])
@@ -95,7 +113,9 @@ def test_a_different_clock_is_reported(tmp_path: Path) -> None:
     write_scans(tmp_path, ".ply", NAMES)
     write_tum_poses(tmp_path / "drive.tum", [k * 100_000_000 for k in range(N)], POSES)
     with pytest.raises(
-        DataError, match=r"scans and poses do not overlap in time: scans from 1700000000\.000 to .*poses from 0"
+        DataError,
+        match=r"scans and poses do not overlap in time: scans from 1700000000\.000 to .*poses from "
+        r"0",
     ):
         dv.open(tmp_path)
 
@@ -131,7 +151,12 @@ def test_poses_with_an_index_are_matched_by_number(tmp_path: Path) -> None:
         sequence = dv.open(tmp_path / "scans", poses=file)
     kept = [0, 1, 2, 4]
     assert_equal(sequence, WORLD[kept], POSES[kept])
-    assert [sequence[k].index for k in range(4)] == [8, 9, 10, 12]  # sorted by number, not alphabetically
+    assert [sequence[k].index for k in range(4)] == [
+        8,
+        9,
+        10,
+        12,
+    ]  # sorted by number, not alphabetically
     file.write_text("\n".join([header, rows[0].replace("12,", "99,", 1)]))
     with pytest.raises(DataError, match=r"poses 99 to 99 match none of the scans 8 to 12 in"):
         dv.open(tmp_path / "scans", poses=file)
@@ -145,7 +170,9 @@ def test_a_wrong_number_of_poses_is_reported(tmp_path: Path) -> None:
 
 def test_missing_poses_are_reported_with_the_flag(tmp_path: Path) -> None:
     for suffix in (".bin", ".ply"):
-        with pytest.raises(DataError, match=r"has no poses\. Estimate them with poses=.small-gicp., or give"):
+        with pytest.raises(
+            DataError, match=r"has no poses\. Estimate them with poses=.small-gicp., or give"
+        ):
             dv.open(write_scans(tmp_path / suffix, suffix))
     with pytest.raises(DataError, match=r"nowhere\.txt: cannot be read"):
         dv.open(tmp_path / ".bin", poses=tmp_path / "nowhere.txt")
@@ -158,7 +185,9 @@ def test_viewpoints_are_poses(tmp_path: Path) -> None:
     sequence = dv.open(f"files:{tmp_path}")
     assert_equal(sequence)
     assert base_of(sequence).facts["poses"] == "VIEWPOINT of each PCD"  # type: ignore[attr-defined]
-    assert isinstance(base_of(dv.open(tmp_path)), BenchmarkSequence)  # whose points are in the world frame
+    assert isinstance(
+        base_of(dv.open(tmp_path)), BenchmarkSequence
+    )  # whose points are in the world frame
     write_scans(tmp_path, ".pcd", [f"{k:03d}" for k in range(N)])
     with pytest.raises(DataError, match=r"VIEWPOINT is the identity in every scan.*poses"):
         dv.open(f"files:{tmp_path}")
@@ -176,7 +205,9 @@ def test_formats_with_their_own_poses_refuse_a_pose_file(tmp_path: Path) -> None
     file = write_kitti_poses(tmp_path / "other.txt", POSES[:1])
     with pytest.raises(UsageError, match="poses: not supported by BenchmarkSequence"):
         dv.open(f"benchmark:{tmp_path}", poses=file)
-    assert_equal(dv.open(tmp_path, poses=file), WORLD[:1], POSES[:1])  # the option rules out the detected format
+    assert_equal(
+        dv.open(tmp_path, poses=file), WORLD[:1], POSES[:1]
+    )  # the option rules out the detected format
 
 
 def test_labels_next_to_the_scans(tmp_path: Path) -> None:
@@ -211,13 +242,17 @@ def test_invalid_labels_are_reported(tmp_path: Path, labels: np.ndarray, problem
     write_kitti_poses(write_scans(tmp_path) / "poses.txt")
     (tmp_path / "labels").mkdir()
     np.save(tmp_path / "labels/000003.npy", labels)
-    with pytest.raises(DataError, match=rf"000003\.npy: {problem}.*0 static, 1 dynamic, 255 unlabelled"):
+    with pytest.raises(
+        DataError, match=rf"000003\.npy: {problem}.*0 static, 1 dynamic, 255 unlabelled"
+    ):
         dv.open(tmp_path)[3]
 
 
 def test_folders_without_scans_are_reported(tmp_path: Path) -> None:
     (tmp_path / "000000.pts").write_text("")
-    with pytest.raises(DataError, match=r"contains no scans, only \.pts\. Scans end in \.bin, \.las"):
+    with pytest.raises(
+        DataError, match=r"contains no scans, only \.pts\. Scans end in \.bin, \.las"
+    ):
         dv.open(f"files:{tmp_path}")
     with pytest.raises(DataError, match="is not a recognised sequence"):
         dv.open(tmp_path)
@@ -227,7 +262,9 @@ def test_folders_without_scans_are_reported(tmp_path: Path) -> None:
         dv.open(tmp_path)
 
 
-def test_an_unreadable_subfolder_is_ignored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_subfolder_is_ignored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "lost+found").mkdir()
     listed = Path.iterdir
 
@@ -282,7 +319,8 @@ def test_info_accepts_poses(
     assert "drive.tum (TUM), by stamp" in out
     assert "world frame" in out
     assert err.startswith(
-        f"dynaviz: warning: 1 of 5 scans are outside the time span of the poses from {file} and are skipped.\n"
+        f"dynaviz: warning: 1 of 5 scans are outside the time span of the poses from {file} and "
+        "are skipped.\n"
     )
 
 

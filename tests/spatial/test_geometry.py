@@ -14,9 +14,13 @@ from scipy.spatial.transform import Rotation
 from dynaviz.spatial import geometry
 
 numbers = st.floats(-100, 100, allow_subnormal=False)
-quaternions = hnp.arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 1e-3)
+quaternions = hnp.arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(
+    lambda q: np.linalg.norm(q) > 1e-3
+)
 poses = st.builds(geometry.pose, hnp.arrays(np.float64, 3, elements=numbers), quaternions)
-clouds = hnp.arrays(np.float32, st.tuples(st.integers(0, 20), st.just(3)), elements=st.floats(-100, 100, width=32))
+clouds = hnp.arrays(
+    np.float32, st.tuples(st.integers(0, 20), st.just(3)), elements=st.floats(-100, 100, width=32)
+)
 
 
 def oracle(q: Any) -> Rotation:
@@ -43,7 +47,9 @@ def test_half_turns_have_quaternions(axis: int) -> None:
     np.testing.assert_array_equal(geometry.quaternion(R)[1:], np.eye(3)[axis])
 
 
-@pytest.mark.parametrize("q", [(0, 0, 0, 0), (0, 1e-9, 0, 0), (1e200, 0, 0, 0), (np.nan, 0, 0, 1), (np.inf, 0, 0, 1)])
+@pytest.mark.parametrize(
+    "q", [(0, 0, 0, 0), (0, 1e-9, 0, 0), (1e200, 0, 0, 0), (np.nan, 0, 0, 1), (np.inf, 0, 0, 1)]
+)
 def test_invalid_quaternions_are_rejected(q: Any) -> None:
     with pytest.raises(ValueError, match="invalid quaternion"):
         geometry.matrix(q)
@@ -51,7 +57,9 @@ def test_invalid_quaternions_are_rejected(q: Any) -> None:
 
 @given(poses)
 def test_a_pose_and_its_inverse_cancel(T_a_b: Any) -> None:
-    np.testing.assert_allclose(geometry.compose(T_a_b, geometry.inverse(T_a_b)), np.eye(4), atol=1e-10)
+    np.testing.assert_allclose(
+        geometry.compose(T_a_b, geometry.inverse(T_a_b)), np.eye(4), atol=1e-10
+    )
 
 
 @given(poses, poses)
@@ -61,7 +69,9 @@ def test_composition_is_the_product_of_matrices(T_a_b: Any, T_b_c: Any) -> None:
 
 def test_stacks_are_inverted_and_composed_elementwise() -> None:
     random = np.random.default_rng(0)
-    stack = np.array([geometry.pose(random.normal(size=3), random.normal(size=4)) for _ in range(5)])
+    stack = np.array(
+        [geometry.pose(random.normal(size=3), random.normal(size=4)) for _ in range(5)]
+    )
     for k, (T, T_inverse, T_twice) in enumerate(
         zip(stack, geometry.inverse(stack), geometry.compose(stack[0], stack), strict=True)
     ):
@@ -72,7 +82,9 @@ def test_stacks_are_inverted_and_composed_elementwise() -> None:
 @given(poses, poses, clouds)
 def test_points_are_transformed_by_the_composed_pose(T_a_b: Any, T_b_c: Any, points: Any) -> None:
     step_by_step = geometry.apply(T_a_b, geometry.apply(T_b_c, points))
-    np.testing.assert_allclose(geometry.apply(geometry.compose(T_a_b, T_b_c), points), step_by_step, atol=1e-9)
+    np.testing.assert_allclose(
+        geometry.apply(geometry.compose(T_a_b, T_b_c), points), step_by_step, atol=1e-9
+    )
 
 
 @given(poses, clouds)

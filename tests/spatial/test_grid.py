@@ -16,8 +16,12 @@ from dynaviz.spatial.grid import KeySet, pack, unpack, voxel_downsample
 pytestmark = pytest.mark.boundscheck
 
 sizes = st.sampled_from([0.1, 0.2, 0.8, 1.0])
-clouds = hnp.arrays(np.float32, st.tuples(st.integers(0, 60), st.just(3)), elements=st.floats(-50, 50, width=32))
-key_lists = st.lists(st.integers(0, 2**63 - 1) | st.integers(0, 30), max_size=200).map(lambda k: np.array(k, np.int64))
+clouds = hnp.arrays(
+    np.float32, st.tuples(st.integers(0, 60), st.just(3)), elements=st.floats(-50, 50, width=32)
+)
+key_lists = st.lists(st.integers(0, 2**63 - 1) | st.integers(0, 30), max_size=200).map(
+    lambda k: np.array(k, np.int64)
+)
 slow_first = settings(deadline=None)  # the first example compiles kernels
 
 
@@ -29,7 +33,11 @@ def test_unpacking_gives_the_voxel_of_the_point(points: Any, size: float) -> Non
 
 
 @slow_first
-@given(hnp.arrays(np.int32, st.tuples(st.integers(1, 30), st.just(3)), elements=st.integers(-REACH, REACH - 1)))
+@given(
+    hnp.arrays(
+        np.int32, st.tuples(st.integers(1, 30), st.just(3)), elements=st.integers(-REACH, REACH - 1)
+    )
+)
 def test_different_voxels_have_different_keys_in_the_same_order(voxels: Any) -> None:
     keys = pack((voxels / 8).astype(np.float32), 0.125)  # corners, which are exact in float32
     np.testing.assert_array_equal(unpack(keys), voxels)

@@ -12,7 +12,9 @@ from dynaviz.spatial.nearest import Nearest, nearest_distance
 
 pytestmark = pytest.mark.boundscheck
 
-COORDINATE = st.floats(-100, 100, width=32) | st.integers(-3, 3).map(float)  # the latter make ties and duplicates
+COORDINATE = st.floats(-100, 100, width=32) | st.integers(-3, 3).map(
+    float
+)  # the latter make ties and duplicates
 CLOUD = hnp.arrays(np.float32, st.tuples(st.integers(1, 70), st.just(3)), elements=COORDINATE)
 
 
@@ -36,7 +38,9 @@ def street(n, seed):
 @settings(deadline=None)
 @given(CLOUD, CLOUD, st.sampled_from([0.5, 1.0, 30.0, np.inf]))
 def test_equals_the_minimum_over_all_pairs(query, reference, limit):
-    np.testing.assert_array_equal(nearest_distance(query, reference, limit), brute_force(query, reference, limit))
+    np.testing.assert_array_equal(
+        nearest_distance(query, reference, limit), brute_force(query, reference, limit)
+    )
 
 
 @pytest.mark.parametrize("limit", [0.05, 2.0, np.inf])

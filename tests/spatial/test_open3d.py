@@ -1,4 +1,6 @@
-"""Without open3d, or a library that it needs, only what needs it fails, with the command that installs it."""
+"""Without open3d, or a library that it needs, only what needs it fails, with the command that
+installs it.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,17 @@ def broken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("broken")
-@pytest.mark.parametrize(("system", "command"), [("linux", "apt-get install .*libusb-1.0-0"), ("win32", "pip install")])
-def test_a_library_is_missing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, system: str, command: str) -> None:
+@pytest.mark.parametrize(
+    ("system", "command"), [("linux", "apt-get install .*libusb-1.0-0"), ("win32", "pip install")]
+)
+def test_a_library_is_missing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, system: str, command: str
+) -> None:
     monkeypatch.setattr(sys, "platform", system)
-    message = f" needs open3d, which cannot be loaded: {re.escape(LIBUSB)}. Install what it needs with: {command}"
+    message = (
+        f" needs open3d, which cannot be loaded: {re.escape(LIBUSB)}. Install what it needs with: "
+        f"{command}"
+    )
     with pytest.raises(MissingDependency, match=f"^ray casting{message}"):
         simulate("square_mid360", tmp_path / "scene", frames=2)
     assert not (tmp_path / "scene").exists()
@@ -41,5 +50,7 @@ def test_a_library_is_missing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, s
 
 def test_open3d_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(MissingDependency, match=r"^refine_poses=True needs open3d\. Install it with: pip install"):
+    with pytest.raises(
+        MissingDependency, match=r"^refine_poses=True needs open3d\. Install it with: pip install"
+    ):
         refine(room(3, 300))

@@ -10,7 +10,9 @@ from dynaviz.spatial.sensor_height import sensor_height
 from dynaviz.testing.world import SLOPE, crossing
 
 
-def heights(points: np.ndarray, position: tuple[float, float, float] = (0.0, 0.0, 1.8)) -> np.ndarray:
+def heights(
+    points: np.ndarray, position: tuple[float, float, float] = (0.0, 0.0, 1.8)
+) -> np.ndarray:
     points = points.astype(np.float32)
     return ScanGround.of(points, np.array(position)).heights(points)
 
@@ -87,13 +89,18 @@ def test_heights_do_not_depend_on_the_origin_of_the_world() -> None:
 
 
 def test_the_height_of_a_sensor_is_its_distance_from_sloping_ground() -> None:
-    exact = [SLOPE @ (0.6 * frame - 3.0, 0.05 * frame, 1.8) / np.linalg.norm(SLOPE) for frame in range(12)]
+    exact = [
+        SLOPE @ (0.6 * frame - 3.0, 0.05 * frame, 1.8) / np.linalg.norm(SLOPE)
+        for frame in range(12)
+    ]
     found = [sensor_height(scan.points - scan.position) for scan in crossing()]
     assert [height for height, _ in found] == pytest.approx(exact, abs=0.02)
     assert min(share for _, share in found) > 0.9
 
 
 def test_neither_walls_nor_few_points_are_ground() -> None:
-    wall = np.stack([np.linspace(-9, 9, 4000), np.full(4000, 3.0), np.tile(np.linspace(-1.7, 3.0, 100), 40)], 1)
+    wall = np.stack(
+        [np.linspace(-9, 9, 4000), np.full(4000, 3.0), np.tile(np.linspace(-1.7, 3.0, 100), 40)], 1
+    )
     assert sensor_height(wall)[1] < 0.3
     assert sensor_height(plane(-2, 2, 0.1, -1.8)) == (0.0, 0.0)

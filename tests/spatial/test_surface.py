@@ -11,7 +11,9 @@ pytestmark = [pytest.mark.plain, pytest.mark.boundscheck]
 def patch(normal, middle, count=200):
     """Points on a disc of 0.6 m with noise of 1 cm across it."""
     rng, axes = np.random.default_rng(0), np.linalg.svd(np.array([normal], float))[2]
-    flat = rng.uniform(-0.35, 0.35, (count, 2)) @ axes[1:] + rng.normal(0, 0.01, (count, 1)) * axes[0]
+    flat = (
+        rng.uniform(-0.35, 0.35, (count, 2)) @ axes[1:] + rng.normal(0, 0.01, (count, 1)) * axes[0]
+    )
     return (flat + middle).astype(np.float32)
 
 
@@ -22,7 +24,9 @@ def test_the_angle_is_that_between_ray_and_surface(sine):
     across = np.cross(ray, [0, 0, 1]) / np.linalg.norm(np.cross(ray, [0, 0, 1]))
     points = patch(sine * ray + np.sqrt(1 - sine**2) * across, middle)
     asked = np.concatenate([points[:3], [[900, 0, 0], [np.nan, 0, 0]]]).astype(np.float32)
-    normals = surface_normals(np.concatenate([points, points + 50, [[np.nan] * 3]]), asked, np.zeros((1, 3)))
+    normals = surface_normals(
+        np.concatenate([points, points + 50, [[np.nan] * 3]]), asked, np.zeros((1, 3))
+    )
     found = angles(asked.astype(float), normals)
     np.testing.assert_allclose(found[:3], np.degrees(np.arcsin(sine)), atol=3)
     assert np.isnan(found[3:]).all()

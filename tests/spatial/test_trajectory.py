@@ -1,4 +1,7 @@
-"""Interpolated poses, and deskewed sweeps of a moving spinning sensor: known walls, independent formulas."""
+"""Interpolated poses, and deskewed sweeps of a moving spinning sensor.
+
+Known walls, independent formulas.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,9 @@ def poses(seconds: np.ndarray) -> np.ndarray:
 
 
 def sweep(start: float, columns: int = 900, rings: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """Points of one turn of 0.1 s in the sensor's frame at their own time, and these times in seconds."""
+    """Points of one turn of 0.1 s in the sensor's frame at their own time, and these times in
+    seconds.
+    """
     seconds = np.repeat(start + np.linspace(0, 0.1, columns, endpoint=False), rings)
     azimuth = np.repeat(np.linspace(-np.pi, np.pi, columns, endpoint=False), rings)
     elevation = np.tile(np.radians(np.linspace(-12, 8, rings)), columns)
@@ -86,7 +91,9 @@ def test_interpolation_agrees_with_scipy(seed: int, knots: int) -> None:
     np.testing.assert_allclose(found[:, :3, :3], expected, atol=1e-7)
     for axis in range(3):
         np.testing.assert_allclose(
-            found[:, axis, 3], np.interp(asked - times[0], times - times[0], positions[:, axis]), atol=1e-9
+            found[:, axis, 3],
+            np.interp(asked - times[0], times - times[0], positions[:, axis]),
+            atol=1e-9,
         )
     np.testing.assert_array_equal(path.at(times), T)  # bit-identical at given poses
 
@@ -113,10 +120,14 @@ OFFSETS = np.linspace(0, 0.0999, 1000)
     [
         pytest.param(np.round(OFFSETS * 1e9).astype(np.uint32), 0, id="Ouster: t, ns, uint32"),
         pytest.param(OFFSETS.astype(np.float32), 0, id="Velodyne: time, s, float32"),
-        pytest.param((OFFSETS - 0.0999).astype(np.float32), -99_900_000, id="Velodyne: time before the stamp"),
+        pytest.param(
+            (OFFSETS - 0.0999).astype(np.float32), -99_900_000, id="Velodyne: time before the stamp"
+        ),
         pytest.param(STAMP / 1e9 + OFFSETS, 0, id="Hesai: timestamp, s of the day, float64"),
         pytest.param(STAMP + OFFSETS * 1e9, 0, id="Livox: timestamp, ns since 1970, float64"),
-        pytest.param((STAMP + np.round(OFFSETS * 1e9)).astype(np.uint64), 0, id="ns since 1970, uint64"),
+        pytest.param(
+            (STAMP + np.round(OFFSETS * 1e9)).astype(np.uint64), 0, id="ns since 1970, uint64"
+        ),
         pytest.param((OFFSETS * 1e3).astype(np.float32), 0, id="ms, float32"),
         pytest.param(np.round(OFFSETS * 1e6).astype(np.int32), 0, id="us, int32"),
         pytest.param(4321.0 + OFFSETS, 0, id="since the sensor was switched on"),
@@ -130,7 +141,13 @@ def test_times_of_all_drivers(values: np.ndarray, first: int) -> None:
 
 
 def test_times_that_do_not_span_a_sweep_have_no_unit() -> None:
-    for values in (np.zeros(5), np.full(5, np.nan), np.empty(0), np.array([0.0, 1e-13]), np.array([0, 3e9])):
+    for values in (
+        np.zeros(5),
+        np.full(5, np.nan),
+        np.empty(0),
+        np.array([0.0, 1e-13]),
+        np.array([0, 3e9]),
+    ):
         assert unit_of(values) is None
 
 

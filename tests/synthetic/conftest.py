@@ -47,5 +47,8 @@ def pairs(street: Sequence, implanted: ImplantedSequence) -> list[tuple[Scan, Sc
 
 @pytest.fixture(scope="session")
 def unlabelled(street: InMemory) -> InMemory:
-    scans = [dataclasses.replace(scan, labels=None, classes=None, instances=None) for scan in street.scans]
+    scans = [
+        dataclasses.replace(scan, labels=None, classes=None, instances=None)
+        for scan in street.scans
+    ]
     return InMemory(scans, "street", street.sensor)

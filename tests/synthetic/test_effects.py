@@ -38,11 +38,18 @@ def flat(x, y):
 
 @pytest.fixture
 def wall():
-    """A sensor that drives along y at 8 m/s, 10 m from a wall; a box moves 1 m in front of the wall."""
+    """A sensor that drives along y at 8 m/s, 10 m from a wall.
+
+    A box moves 1 m in front of the wall.
+    """
     way = Route([(0, -20), (0, 20)])
     scene = SimulatedScene(np.random.default_rng(0), 2.0, flat, Movement(way, cruise(16, SPEED)))
-    scene.add(quads([[(9, -90, -90), (9, 90, -90), (9, 90, 90), (9, -90, 90)]]), ObjectClass.BUILDING, 0.8)
-    scene.move(ObjectClass.MOVING_CAR, Route([(8.3, -8), (8.3, 8)]), cruise(5, 0.5), box(0.6, 1.0, 2.5))
+    scene.add(
+        quads([[(9, -90, -90), (9, 90, -90), (9, 90, 90), (9, -90, 90)]]), ObjectClass.BUILDING, 0.8
+    )
+    scene.move(
+        ObjectClass.MOVING_CAR, Route([(8.3, -8), (8.3, 8)]), cruise(5, 0.5), box(0.6, 1.0, 2.5)
+    )
     return scene
 
 
@@ -66,13 +73,18 @@ def test_deskewing_puts_the_wall_back_and_raw_points_bend(wall):
     raw = sensed(wall, Effects(sweep_s=0.1, raw=1))
     still = exact.kinds == ObjectClass.BUILDING
     np.testing.assert_allclose(exact.points[still, 0], 9, atol=2e-3)
-    # the lidar turns from back to front while the sensor drives forward, so the sweep covers 0.8 m more of the wall
-    length, bent = (np.ptp(each.points[np.abs(each.points[:, 2]) < 0.3, 1]) for each in (exact, raw))
+    # the lidar turns from back to front while the sensor drives forward, so the sweep covers 0.8 m
+    # more of the wall
+    length, bent = (
+        np.ptp(each.points[np.abs(each.points[:, 2]) < 0.3, 1]) for each in (exact, raw)
+    )
     assert length - bent == pytest.approx(SPEED * 0.1, abs=0.15)
 
 
 def test_movers_move_during_the_sweep(wall):
-    wall.movers[0] = dataclasses.replace(wall.movers[0], motion=Movement(Route([(8.3, -8), (8.3, 8)]), cruise(5, 10.0)))
+    wall.movers[0] = dataclasses.replace(
+        wall.movers[0], motion=Movement(Route([(8.3, -8), (8.3, 8)]), cruise(5, 10.0))
+    )
     lengths = []
     for effects in (Effects(), Effects(sweep_s=0.1)):
         found = sensed(wall, effects)
@@ -96,7 +108,12 @@ def hits(ranges, kinds, instances):
     ranges = np.atleast_2d(np.array(ranges, float))
     kinds, instances = np.atleast_2d(np.uint16(kinds)), np.atleast_2d(np.int32(instances))
     return Hits(
-        ranges, np.ones(ranges.shape), kinds, instances, np.full(ranges.shape, 0.5), np.zeros(ranges.shape, bool)
+        ranges,
+        np.ones(ranges.shape),
+        kinds,
+        instances,
+        np.full(ranges.shape, 0.5),
+        np.zeros(ranges.shape, bool),
     )
 
 
@@ -107,16 +124,26 @@ WALL, CAR = ObjectClass.BUILDING, ObjectClass.MOVING_CAR
     ("ranges", "kinds", "expected"),
     [
         ([9, 9, 9, 9, 8.4], [WALL] * 4 + [CAR], ObjectClass.MOVING_MIXED_PIXEL),
-        ([9, 9, 9, 9, 8.9], [WALL] * 4 + [CAR], WALL),  # 2 cm in front of the wall: cannot be told from it
+        (
+            [9, 9, 9, 9, 8.9],
+            [WALL] * 4 + [CAR],
+            WALL,
+        ),  # 2 cm in front of the wall: cannot be told from it
         ([9, 9, 9, 8.4, 8.4], [WALL] * 5, ObjectClass.MIXED_PIXEL),
-        ([9, 9, 9, 9, 6], [WALL] * 4 + [CAR], WALL),  # two separate echoes, of which the wall's is brighter
+        (
+            [9, 9, 9, 9, 6],
+            [WALL] * 4 + [CAR],
+            WALL,
+        ),  # two separate echoes, of which the wall's is brighter
         ([9, 9, 9, 9, 4], [WALL] * 4 + [CAR], CAR),  # as before, but light from nearby is brighter
         ([9, 4, 4, 4, 4], [WALL] + [CAR] * 4, CAR),
         ([np.inf] * 4 + [4], [0] * 4 + [CAR], CAR),  # a partial hit
     ],
 )
 def test_the_label_of_a_beam_with_several_surfaces(ranges, kinds, expected):
-    found = optics.combine(hits(ranges, kinds, [int(kind == CAR) for kind in kinds]), pulse=1.0, washed=0.06)
+    found = optics.combine(
+        hits(ranges, kinds, [int(kind == CAR) for kind in kinds]), pulse=1.0, washed=0.06
+    )
     assert found.kind[0] == expected
     assert (found.instance[0] == 1) == (expected >= CAR)
     seen = np.array(ranges)[np.isfinite(ranges)]
@@ -141,24 +168,40 @@ def measured(ranges, facing):
 
 def test_noise_grows_with_range_and_incidence():
     effects, rng = Effects(noise_range_m=0.1, noise_incidence_m=0.02), np.random.default_rng(0)
-    for distance, facing, expected in ((50.0, 1.0, 0.05), (100.0, 1.0, 0.1), (1e-3, np.sqrt(0.5), 0.02)):
-        noise = measurement._noise(measured(np.full(20000, distance), np.full(20000, facing)), effects, rng)
+    for distance, facing, expected in (
+        (50.0, 1.0, 0.05),
+        (100.0, 1.0, 0.1),
+        (1e-3, np.sqrt(0.5), 0.02),
+    ):
+        noise = measurement._noise(
+            measured(np.full(20000, distance), np.full(20000, facing)), effects, rng
+        )
         assert noise.std() == pytest.approx(expected, rel=0.05)
         assert abs(noise.mean()) < 0.05 * expected
 
 
 def test_drop_outs_grow_with_range_and_incidence():
     effects, rng = Effects(dropout_range=0.2, dropout_incidence=0.3), np.random.default_rng(0)
-    for distance, facing, expected in ((50.0, 1.0, 0.1), (100.0, 1.0, 0.2), (0.0, 0.0, 0.3), (100.0, 0.0, 0.44)):
-        kept = measurement._kept(measured(np.full(40000, distance), np.full(40000, facing)), effects, rng)
+    for distance, facing, expected in (
+        (50.0, 1.0, 0.1),
+        (100.0, 1.0, 0.2),
+        (0.0, 0.0, 0.3),
+        (100.0, 0.0, 0.44),
+    ):
+        kept = measurement._kept(
+            measured(np.full(40000, distance), np.full(40000, facing)), effects, rng
+        )
         assert 1 - kept.mean() == pytest.approx(expected, abs=0.01)
 
 
 def test_each_beam_has_an_error_of_its_own_that_stays(wall):
     near = [sensed(wall, Effects(beam_deg=0.5), index) for index in (1, 2)]
     plain = sensed(wall, Effects(), 2)
-    # beams hit the wall elsewhere than their nominal direction says, so its points leave the plane ring by ring
-    flat_wall, bent = (np.abs(each.points[each.kinds == WALL, 0] - 9).max() for each in (plain, near[1]))
+    # beams hit the wall elsewhere than their nominal direction says, so its points leave the plane
+    # ring by ring
+    flat_wall, bent = (
+        np.abs(each.points[each.kinds == WALL, 0] - 9).max() for each in (plain, near[1])
+    )
     assert flat_wall < 2e-3
     assert 0.02 < bent < 0.5
     turned = dataclasses.replace(SMALL, azimuth=(-120.0, -60.0))
@@ -171,7 +214,11 @@ def test_each_beam_has_an_error_of_its_own_that_stays(wall):
 
 
 def test_a_retro_reflector_blooms_onto_the_wall_behind_it(wall):
-    wall.add(quads([[(6, -0.9, 0.8), (6, -1.3, 0.8), (6, -1.3, 1.2), (6, -0.9, 1.2)]]), ObjectClass.TRAFFIC_SIGN, 1.0)
+    wall.add(
+        quads([[(6, -0.9, 0.8), (6, -1.3, 0.8), (6, -1.3, 1.2), (6, -0.9, 1.2)]]),
+        ObjectClass.TRAFFIC_SIGN,
+        1.0,
+    )
     plain, lit = (sensed(wall, Effects(sweep_s=1e-6, bloom_deg=d)) for d in (0.0, 3.0))
     count = [(each.kinds == ObjectClass.TRAFFIC_SIGN).sum() for each in (plain, lit)]
     assert count[1] > 1.5 * count[0] > 0
@@ -180,7 +227,9 @@ def test_a_retro_reflector_blooms_onto_the_wall_behind_it(wall):
 
 
 def test_multipath_mirrors_static_and_moving_objects_below_the_ground(wall):
-    wall.add(quads([[(-50, -50, 0), (50, -50, 0), (50, 50, 0), (-50, 50, 0)]]), ObjectClass.ROAD, 0.5)
+    wall.add(
+        quads([[(-50, -50, 0), (50, -50, 0), (50, 50, 0), (-50, 50, 0)]]), ObjectClass.ROAD, 0.5
+    )
     found = sensed(wall, Effects(multipath=1.0))
     assert {ObjectClass.OUTLIER, ObjectClass.MOVING_OUTLIER} <= set(found.kinds.tolist())
     for kind, moving in ((ObjectClass.OUTLIER, False), (ObjectClass.MOVING_OUTLIER, True)):
@@ -188,7 +237,9 @@ def test_multipath_mirrors_static_and_moving_objects_below_the_ground(wall):
         assert (found.points[mirrored, 2] < -SMALL.height + 1e-6).all()
         assert (found.instances[mirrored] > 0).all() == moving
     image = found.points[found.kinds == ObjectClass.OUTLIER]
-    assert np.median(image[:, 0]) == pytest.approx(9, abs=0.1)  # the mirrored wall is straight below the wall
+    assert np.median(image[:, 0]) == pytest.approx(
+        9, abs=0.1
+    )  # the mirrored wall is straight below the wall
 
 
 def test_rain_is_denser_near_the_sensor_and_of_its_own_class(wall):
@@ -201,7 +252,11 @@ def test_rain_is_denser_near_the_sensor_and_of_its_own_class(wall):
 
 
 def test_leaves_and_panes_let_their_share_of_rays_pass(wall):
-    wall.add(quads([[(5, -90, -9), (5, 90, -9), (5, 90, 1.0), (5, -90, 1.0)]]), ObjectClass.VEGETATION, 0.6)
+    wall.add(
+        quads([[(5, -90, -9), (5, 90, -9), (5, 90, 1.0), (5, -90, 1.0)]]),
+        ObjectClass.VEGETATION,
+        0.6,
+    )
     pane = quads([[(5, -90, 1.0), (5, 90, 1.0), (5, 90, 9), (5, -90, 9)]])
     wall.add(pane, ObjectClass.FENCE, 0.6)
     wall.parts[-1] = dataclasses.replace(wall.parts[-1], glass=True)
@@ -214,7 +269,8 @@ def test_leaves_and_panes_let_their_share_of_rays_pass(wall):
 
 def test_effects_have_random_numbers_of_their_own(wall):
     plain, noisy = (
-        sensed(wall, effects) for effects in (Effects(sweep_s=1e-6), Effects(sweep_s=1e-6, noise_range_m=0.5))
+        sensed(wall, effects)
+        for effects in (Effects(sweep_s=1e-6), Effects(sweep_s=1e-6, noise_range_m=0.5))
     )
     assert len(plain.points) == len(noisy.points)  # the same returns, with other ranges only
     np.testing.assert_array_equal(plain.intensity, noisy.intensity)
@@ -224,16 +280,25 @@ def test_drift_grows_with_the_distance_and_jitter_does_not():
     effects = Effects(drift_m=0.5, drift_deg=0.0, jitter_m=0.03, jitter_deg=0.1)
     straight = np.tile(np.eye(4), (101, 1, 1))
     straight[:, 0, 3] = np.arange(101.0)
-    ends = np.array([poses.drift(np.random.default_rng(k), straight, effects)[[25, 100], :3, 3] for k in range(60)])
+    ends = np.array(
+        [
+            poses.drift(np.random.default_rng(k), straight, effects)[[25, 100], :3, 3]
+            for k in range(60)
+        ]
+    )
     assert ends[:, 1].std() == pytest.approx(0.5, rel=0.2)
     assert ends[:, 0].std() == pytest.approx(0.25, rel=0.2)
     jitter = poses.jitter(np.random.default_rng(0), 2000, effects)
     assert jitter[:, :3, 3].std() == pytest.approx(0.03, rel=0.05)
-    angles = np.degrees(np.arccos(np.clip((np.trace(jitter[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    angles = np.degrees(
+        np.arccos(np.clip((np.trace(jitter[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
+    )
     assert np.sqrt((angles**2).mean() / 3) == pytest.approx(0.1, rel=0.05)
     assert abs(np.corrcoef(jitter[1:, 0, 3], jitter[:-1, 0, 3])[0, 1]) < 0.1
     standing = np.tile(np.eye(4), (9, 1, 1))
-    np.testing.assert_array_equal(poses.drift(np.random.default_rng(0), standing, effects), standing)
+    np.testing.assert_array_equal(
+        poses.drift(np.random.default_rng(0), standing, effects), standing
+    )
 
 
 def test_the_yaw_of_the_drift_turns_later_positions():
@@ -251,10 +316,18 @@ def test_behaviour_adds_movers_near_the_sensor_and_leaves_the_others_alone(prese
     acted = build(dataclasses.replace(plain, effects=Effects(**dict.fromkeys(BEHAVIOUR, 1))), 60)
     added = acted.movers[len(scene.movers) :]
     kinds = [mover.kind for mover in added]
-    assert kinds.count(ObjectClass.MOVING_PERSON) >= 9  # one brushes, six and one in a crowd, one pushes, one sits down
-    assert {ObjectClass.MOVING_DOOR, ObjectClass.MOVING_ANIMAL, ObjectClass.MOVING_OTHER_VEHICLE} <= set(kinds)
+    assert (
+        kinds.count(ObjectClass.MOVING_PERSON) >= 9
+    )  # one brushes, six and one in a crowd, one pushes, one sits down
+    assert {
+        ObjectClass.MOVING_DOOR,
+        ObjectClass.MOVING_ANIMAL,
+        ObjectClass.MOVING_OTHER_VEHICLE,
+    } <= set(kinds)
     assert len(kinds) >= 13
-    assert [m.reflectance for m in acted.movers[: len(scene.movers)]] == [m.reflectance for m in scene.movers]
+    assert [m.reflectance for m in acted.movers[: len(scene.movers)]] == [
+        m.reflectance for m in scene.movers
+    ]
     assert [m.instance for m in acted.movers] == list(range(1, len(acted.movers) + 1))
     for mover in added:
         schedule = [mover.motion.schedule(t) for t in np.arange(0, 6, 0.1)]
@@ -271,7 +344,9 @@ def test_walkers_brush_along_walls_at_the_given_distance():
     for mover in walkers:
         x, y = mover.motion.path.xy.T
         wall = np.minimum(24.0 - np.abs(x), 13.0 - np.abs(y))
-        pillar = np.min([np.maximum(np.abs(x - ox), np.abs(y - oy)) - 0.4 for ox, oy, *_ in obstacles], axis=0)
+        pillar = np.min(
+            [np.maximum(np.abs(x - ox), np.abs(y - oy)) - 0.4 for ox, oy, *_ in obstacles], axis=0
+        )
         gap = np.minimum(wall, pillar) - 0.31
         assert np.median(gap) == pytest.approx(0.2, abs=0.06)
 
@@ -279,7 +354,10 @@ def test_walkers_brush_along_walls_at_the_given_distance():
 def test_a_real_preset_gives_the_same_sweep_in_any_order():
     chosen = Chosen.parse("street_vlp16_real?frames=4")
     scene = build(chosen.preset, 4, 0)
-    first, again = SceneRecorder(scene, chosen.preset, 4), SceneRecorder(build(chosen.preset, 4, 0), chosen.preset, 4)
+    first, again = (
+        SceneRecorder(scene, chosen.preset, 4),
+        SceneRecorder(build(chosen.preset, 4, 0), chosen.preset, 4),
+    )
     forward, backward = [first.sweep(k) for k in (1, 3)], [again.sweep(k) for k in (3, 1)]
     for a, b in zip(forward, backward[::-1], strict=True):
         np.testing.assert_array_equal(a.points, b.points)

@@ -32,7 +32,8 @@ def own(scan: Scan) -> np.ndarray:
 def surfaces(mesh: Mesh) -> o3d.t.geometry.RaycastingScene:
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
+        o3d.core.Tensor(mesh.vertices.astype(np.float32)),
+        o3d.core.Tensor(mesh.triangles.astype(np.uint32)),
     )
     return scene
 
@@ -55,7 +56,9 @@ def movers(implanted: ImplantedSequence, before: Scan) -> Iterator[tuple[Implant
             yield mover, mesh
 
 
-def test_every_implanted_point_lies_on_its_mover_within_the_noise(implanted: ImplantedSequence, pairs: Pairs) -> None:
+def test_every_implanted_point_lies_on_its_mover_within_the_noise(
+    implanted: ImplantedSequence, pairs: Pairs
+) -> None:
     seen = {}
     for before, scan in pairs:
         present = {mover.instance: (mover, mesh) for mover, mesh in movers(implanted, before)}
@@ -67,10 +70,14 @@ def test_every_implanted_point_lies_on_its_mover_within_the_noise(implanted: Imp
             assert off.max() < 6 * implanted.scene.range_noise
             seen.setdefault(mover.kind, []).extend(off)
     assert set(seen) == {"car", "cyclist", "person"}
-    assert np.mean(np.concatenate(list(seen.values()))) > 0.2 * implanted.scene.range_noise  # there is noise
+    assert (
+        np.mean(np.concatenate(list(seen.values()))) > 0.2 * implanted.scene.range_noise
+    )  # there is noise
 
 
-def test_points_with_times_lie_on_their_mover_at_their_own_time(implanted: ImplantedSequence, pairs: Pairs) -> None:
+def test_points_with_times_lie_on_their_mover_at_their_own_time(
+    implanted: ImplantedSequence, pairs: Pairs
+) -> None:
     fast = next(mover for mover in implanted.scene.movers if mover.kind == "car")
     off, apart = [], []
     for scan, _ in pairs:
@@ -82,10 +89,14 @@ def test_points_with_times_lie_on_their_mover_at_their_own_time(implanted: Impla
             mesh = fast.mesh(implanted.scene.time(scan) + float(timed.times[row]))
             if mesh is None:  # before the start or after the end of its path
                 continue
-            off.append(surfaces(mesh).compute_distance(o3d.core.Tensor(timed.points[row : row + 1])).item())
+            off.append(
+                surfaces(mesh).compute_distance(o3d.core.Tensor(timed.points[row : row + 1])).item()
+            )
         mesh = fast.mesh(implanted.scene.time(scan))
         if len(rows) and mesh is not None:
-            apart.extend(surfaces(mesh).compute_distance(o3d.core.Tensor(timed.points[rows])).numpy())
+            apart.extend(
+                surfaces(mesh).compute_distance(o3d.core.Tensor(timed.points[rows])).numpy()
+            )
     assert len(off) > 20
     assert max(off) < 6 * implanted.scene.range_noise
     assert max(apart) > 0.1  # with the mover at rest during the sweep they would not
@@ -113,13 +124,20 @@ def test_points_before_or_aside_of_movers_keep_their_bits_and_their_order(
             assert (np.abs(hit - away) > 1e-4).all()
         untouched = own(after)
         for name in ("points", "labels", "classes", "instances"):
-            np.testing.assert_array_equal(getattr(after, name)[untouched], getattr(before, name)[~hidden])
-        assert (after.T_world_sensor.tobytes(), after.index) == (before.T_world_sensor.tobytes(), before.index)
+            np.testing.assert_array_equal(
+                getattr(after, name)[untouched], getattr(before, name)[~hidden]
+            )
+        assert (after.T_world_sensor.tobytes(), after.index) == (
+            before.T_world_sensor.tobytes(),
+            before.index,
+        )
         hidden_somewhere += hidden.sum()
     assert hidden_somewhere > 500
 
 
-def test_movers_never_touch_a_static_point_above_the_ground(implanted: ImplantedSequence, pairs: Pairs) -> None:
+def test_movers_never_touch_a_static_point_above_the_ground(
+    implanted: ImplantedSequence, pairs: Pairs
+) -> None:
     static = np.concatenate([before.points[before.labels == Label.STATIC] for before, _ in pairs])
     checked = 0
     for before, _ in pairs:
@@ -134,8 +152,12 @@ def test_movers_never_touch_a_static_point_above_the_ground(implanted: Implanted
     assert checked > 40
 
 
-def test_movers_do_not_appear_or_disappear_in_sight(implanted: ImplantedSequence, pairs: Pairs) -> None:
-    """They have few points in their first and last scan, unless the recording begins or ends there."""
+def test_movers_do_not_appear_or_disappear_in_sight(
+    implanted: ImplantedSequence, pairs: Pairs
+) -> None:
+    """They have few points in their first and last scan, unless the recording begins
+    or ends there.
+    """
     times = [implanted.scene.time(before) for before, _ in pairs]
     for mover in implanted.scene.movers:
         start, end = mover.schedule[0, 0], mover.schedule[-1, 0]
@@ -143,7 +165,10 @@ def test_movers_do_not_appear_or_disappear_in_sight(implanted: ImplantedSequence
         for k, edge in ((present[0], 0), (present[-1], len(pairs) - 1)):
             scan = pairs[k][1]
             away = np.linalg.norm(mover.pose(mover.distance(times[k]))[:2, 3] - scan.position[:2])
-            assert k == edge or away > 40 or (scan.instances == mover.instance).sum() < 20, (mover.note, away)
+            assert k == edge or away > 40 or (scan.instances == mover.instance).sum() < 20, (
+                mover.note,
+                away,
+            )
 
 
 def test_movers_stand_on_the_ground(implanted: ImplantedSequence, pairs: Pairs) -> None:
@@ -169,23 +194,33 @@ def test_movers_stand_on_the_ground_of_a_scan_whose_pose_is_too_high(
         T_world_sensor = before.T_world_sensor.copy()
         T_world_sensor[:3, 3] += lift
         origins = before.origins + lift
-        high = dataclasses.replace(before, points=before.points + lift, T_world_sensor=T_world_sensor, origins=origins)
+        high = dataclasses.replace(
+            before, points=before.points + lift, T_world_sensor=T_world_sensor, origins=origins
+        )
         found = implant(high, implanted.scene, implanted.lidar)
         assert abs(len(found) - len(after)) < 20
-        assert found.points[~own(found), 2].mean() == pytest.approx(after.points[~own(after), 2].mean() + 0.5, abs=0.02)
+        assert found.points[~own(found), 2].mean() == pytest.approx(
+            after.points[~own(after), 2].mean() + 0.5, abs=0.02
+        )
 
 
-def test_movers_keep_clear_of_the_sensor_and_of_each_other(implanted: ImplantedSequence, pairs: Pairs) -> None:
+def test_movers_keep_clear_of_the_sensor_and_of_each_other(
+    implanted: ImplantedSequence, pairs: Pairs
+) -> None:
     for before, _ in pairs:
         present = list(movers(implanted, before))
         for number, (_, mesh) in enumerate(present):
             assert np.linalg.norm(mesh.vertices - before.position, axis=1).min() > 0.9
             for _, other in present[:number]:
-                apart = np.linalg.norm(mesh.vertices[:, None, :2] - other.vertices[None, :, :2], axis=2)
+                apart = np.linalg.norm(
+                    mesh.vertices[:, None, :2] - other.vertices[None, :, :2], axis=2
+                )
                 assert apart.min() > 0.15
 
 
-def test_implanted_points_are_dynamic_and_have_names_and_instances_of_their_own(pairs: Pairs) -> None:
+def test_implanted_points_are_dynamic_and_have_names_and_instances_of_their_own(
+    pairs: Pairs,
+) -> None:
     taken = {int(number) for before, _ in pairs for number in np.unique(before.instances)}
     for _, scan in pairs:
         new = ~own(scan)
@@ -199,7 +234,9 @@ def test_implanted_points_are_dynamic_and_have_names_and_instances_of_their_own(
         assert scan.class_names[10] == "car"
 
 
-def test_reading_again_gives_the_same_bits(street: InMemory, implanted: ImplantedSequence, pairs: Pairs) -> None:
+def test_reading_again_gives_the_same_bits(
+    street: InMemory, implanted: ImplantedSequence, pairs: Pairs
+) -> None:
     for k in (7, 2, 7):
         again = implanted[k]
         for name in ("points", "labels", "classes", "instances", "origins"):

@@ -16,7 +16,9 @@ def flat(x, y):
 
 
 def angles(directions):
-    return np.degrees(np.arctan2(directions[:, 1], directions[:, 0])), np.degrees(np.arcsin(directions[:, 2]))
+    return np.degrees(np.arctan2(directions[:, 1], directions[:, 0])), np.degrees(
+        np.arcsin(directions[:, 2])
+    )
 
 
 @pytest.mark.parametrize("name", sensor_names())
@@ -49,13 +51,20 @@ def test_a_pattern_without_rings_does_not_repeat():
     sensor = load_sensor("mid360")
     sweeps = [sweep_rays(sensor, k, np.random.default_rng(0)).directions for k in range(4)]
     azimuth, elevation = angles(np.concatenate(sweeps))
-    cells = [len(np.unique(np.floor(azimuth[:n] * 2) * 1000 + np.floor(elevation[:n] * 2))) for n in (20000, 80000)]
+    cells = [
+        len(np.unique(np.floor(azimuth[:n] * 2) * 1000 + np.floor(elevation[:n] * 2)))
+        for n in (20000, 80000)
+    ]
     assert cells[1] > 1.5 * cells[0]
 
 
 def scene_with_a_wall_and_a_mover():
-    scene = SimulatedScene(np.random.default_rng(0), 1.0, flat, Movement(Route([(0, 0), (9, 0)]), cruise(0, 1)))
-    scene.add(quads([[(10, -50, -9), (10, 50, -9), (10, 50, 9), (10, -50, 9)]]), ObjectClass.BUILDING, 0.8)
+    scene = SimulatedScene(
+        np.random.default_rng(0), 1.0, flat, Movement(Route([(0, 0), (9, 0)]), cruise(0, 1))
+    )
+    scene.add(
+        quads([[(10, -50, -9), (10, 50, -9), (10, 50, 9), (10, -50, 9)]]), ObjectClass.BUILDING, 0.8
+    )
     scene.move(ObjectClass.MOVING_CAR, Route([(5, -4), (5, 4)]), cruise(0, 4), box(2, 2, 2))
     return scene
 
@@ -82,12 +91,21 @@ def test_the_nearer_of_mover_and_background_is_hit():
 def hits_of(count, range_, reflectance=0.8, facing=1.0, kind=ObjectClass.BUILDING):
     full = np.full(count, 1.0)
     kinds, instances = np.full(count, kind, np.uint16), np.zeros(count, np.int32)
-    return Hits(range_ * full, facing * full, kinds, instances, reflectance * full, np.zeros(count, np.bool_))
+    return Hits(
+        range_ * full,
+        facing * full,
+        kinds,
+        instances,
+        reflectance * full,
+        np.zeros(count, np.bool_),
+    )
 
 
 def test_ranges_have_the_sensors_noise_and_limits():
     sensor = load_sensor("hdl64e")
-    distance, back, kinds, intensity = receive(hits_of(20000, 20.0), sensor, np.random.default_rng(0))
+    distance, back, kinds, intensity = receive(
+        hits_of(20000, 20.0), sensor, np.random.default_rng(0)
+    )
     assert 0.9 < back.mean() < 1
     assert (distance[back] - 20).std() == pytest.approx(sensor.range_noise, rel=0.05)
     assert abs((distance[back] - 20).mean()) < 0.001
@@ -111,7 +129,9 @@ def test_dark_and_grazed_surfaces_return_less_at_long_range():
 
 def test_multipath_returns_are_rare_too_far_and_marked():
     sensor = load_sensor("hdl64e")
-    distance, _, kinds, _ = receive(hits_of(100000, 20.0, kind=ObjectClass.ROAD), sensor, np.random.default_rng(0))
+    distance, _, kinds, _ = receive(
+        hits_of(100000, 20.0, kind=ObjectClass.ROAD), sensor, np.random.default_rng(0)
+    )
     detour = kinds == ObjectClass.OUTLIER
     assert 0 < detour.mean() < 0.001
     assert distance[detour].min() > 22.5

@@ -29,8 +29,13 @@ def reach_of(directions: F64) -> F64:
     return np.minimum(ground, wall)
 
 
-def scan_of(directions: F64, kept: Bool, index: int = 0, noise: float = 0.0, origins: F64 | None = None) -> Scan:
-    """A flat plain with a high wall on the left half of the horizon; rays to the sky do not return."""
+def scan_of(
+    directions: F64, kept: Bool, index: int = 0, noise: float = 0.0, origins: F64 | None = None
+) -> Scan:
+    """A flat plain with a high wall on the left half of the horizon.
+
+    Rays to the sky do not return.
+    """
     rng = np.random.default_rng(index)
     reach = reach_of(directions) + rng.normal(0, noise, len(directions))
     rows = kept & (reach < FARTHEST)
@@ -43,11 +48,17 @@ def scan_of(directions: F64, kept: Bool, index: int = 0, noise: float = 0.0, ori
     up = np.array([0, 0, HEIGHT])
     labels = np.zeros(rows.sum(), np.uint8)
     return Scan(
-        index, (points + up).astype(np.float32), T, labels=labels, origins=None if starts is None else starts + up
+        index,
+        (points + up).astype(np.float32),
+        T,
+        labels=labels,
+        origins=None if starts is None else starts + up,
     )
 
 
-def plain(frames: int = 3, lost: float = 0.0, noise: float = 0.0, ring_by_ring: bool = False) -> tuple[InMemory, F64]:
+def plain(
+    frames: int = 3, lost: float = 0.0, noise: float = 0.0, ring_by_ring: bool = False
+) -> tuple[InMemory, F64]:
     """Scans of a VLP-16 on the plain, and the directions of its rays in the first."""
     scans, first = [], None
     for index in range(frames):
@@ -63,7 +74,9 @@ def plain(frames: int = 3, lost: float = 0.0, noise: float = 0.0, ring_by_ring: 
 
 def truck_on_the_right() -> ImplantScene:
     """A truck 12 m to the right, where the upper rays see only sky."""
-    mover = Implant("truck", 5, 1, np.array([[-50.0, -12, 0], [50, -12, 0]]), np.array([[-10.0, 0], [10, 100]]))
+    mover = Implant(
+        "truck", 5, 1, np.array([[-50.0, -12, 0], [50, -12, 0]]), np.array([[-10.0, 0], [10, 100]])
+    )
     return ImplantScene(0, 0.0, 0.0, True, (mover,))
 
 
@@ -80,7 +93,9 @@ def test_rays_before_the_sky_are_found(ring_by_ring: bool) -> None:
     assert np.degrees(np.arccos(np.clip(nearest, -1, 1))).max() < 0.11  # half a step
     towards = sequence[0].points[before] - (0, 0, HEIGHT)
     level = np.degrees(np.arctan2(towards[:, 2], np.hypot(*towards[:, :2].T)))
-    assert np.abs(level - np.degrees(np.arcsin(found[:, 2]))).max() < 0.2  # a point of the same ring
+    assert (
+        np.abs(level - np.degrees(np.arcsin(found[:, 2]))).max() < 0.2
+    )  # a point of the same ring
 
 
 @pytest.mark.parametrize("ring_by_ring", [False, True])
@@ -91,7 +106,12 @@ def test_a_mover_before_the_sky_is_seen_in_full(ring_by_ring: bool) -> None:
     assert mesh is not None
     starts = np.broadcast_to([0.0, 0, HEIGHT], directions.shape)
     resting = [Target(mesh, 1, 5, np.zeros(3))]
-    expected = cast(resting, starts, directions, np.full(len(directions), 90.0), np.zeros(len(directions))).mover >= 0
+    expected = (
+        cast(
+            resting, starts, directions, np.full(len(directions), 90.0), np.zeros(len(directions))
+        ).mover
+        >= 0
+    )
     seen = implant(scan, scene, lidar)
     assert (seen.instances == 5).sum() == pytest.approx(expected.sum(), rel=0.03)
     assert seen.points[seen.instances == 5][:, 2].max() > 3.5
@@ -102,7 +122,9 @@ def test_a_mover_before_the_sky_is_seen_in_full(ring_by_ring: bool) -> None:
 def test_a_lost_return_of_a_near_surface_does_not_show_what_is_behind() -> None:
     sequence, _ = plain(lost=0.05)
     lidar = LidarModel.measure(sequence)
-    behind = Implant("car", 5, 1, np.array([[-20.0, 40, 0], [20, 40, 0]]), np.array([[-10.0, 0], [10, 40]]))
+    behind = Implant(
+        "car", 5, 1, np.array([[-20.0, 40, 0], [20, 40, 0]]), np.array([[-10.0, 0], [10, 40]])
+    )
     seen = implant(sequence[0], ImplantScene(0, 0.0, 0.0, True, (behind,)), lidar)
     assert not (seen.labels == Label.DYNAMIC).any()
 
@@ -127,13 +149,19 @@ def test_noise_and_drop_outs_are_measured(noise: float, lost: float) -> None:
 
 
 def test_each_ray_starts_at_its_own_origin() -> None:
-    """A mover right in front of one of two lidars hides the other's points only where its rays pass."""
+    """A mover right in front of one of two lidars hides the other's points only where its rays
+    pass.
+    """
     rng = np.random.default_rng(1)
     directions = sweep_rays(SENSOR, 0, rng).directions
-    starts = np.where(np.arange(len(directions))[:, None] % 2 == 0, (0.0, 0.0, 0.0), (6.0, 0.0, 0.0))
+    starts = np.where(
+        np.arange(len(directions))[:, None] % 2 == 0, (0.0, 0.0, 0.0), (6.0, 0.0, 0.0)
+    )
     scan = scan_of(directions, np.ones(len(directions), bool), origins=starts)
     lidar = LidarModel.measure(InMemory([scan], "two", Sensor()))
-    mover = Implant("person", 5, 1, np.array([[0.0, -2, 0], [0, -3, 0]]), np.array([[-1.0, 0], [1, 0]]))
+    mover = Implant(
+        "person", 5, 1, np.array([[0.0, -2, 0], [0, -3, 0]]), np.array([[-1.0, 0], [1, 0]])
+    )
     scene = ImplantScene(0, 0.0, 0.0, False, (mover,))
     seen = implant(scan, scene, lidar)
     assert len(seen.origins) == len(seen)
@@ -145,7 +173,16 @@ def test_each_ray_starts_at_its_own_origin() -> None:
         own = scan.origins[:, 0] == x
         away = scan.points[own] - scan.origins[own]
         far = np.linalg.norm(away, axis=1)
-        hits = cast([Target(mesh, 1, 5, np.zeros(3))], scan.origins[own], away / far[:, None], far, 0 * far).mover >= 0
+        hits = (
+            cast(
+                [Target(mesh, 1, 5, np.zeros(3))],
+                scan.origins[own],
+                away / far[:, None],
+                far,
+                0 * far,
+            ).mover
+            >= 0
+        )
         assert (rows & (seen.origins[:, 0] == x)).sum() == pytest.approx(hits.sum(), abs=2)
 
 
@@ -155,7 +192,9 @@ def test_points_that_are_not_finite_stay() -> None:
     points = scan.points.copy()
     points[::50] = np.nan
     scan = replace(scan, points=points)
-    seen = implant(scan, truck_on_the_right(), LidarModel.measure(InMemory([scan], "holes", SENSOR)))
+    seen = implant(
+        scan, truck_on_the_right(), LidarModel.measure(InMemory([scan], "holes", SENSOR))
+    )
     assert np.isnan(seen.points).all(1).sum() == len(points[::50])
 
 

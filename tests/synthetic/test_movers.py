@@ -52,7 +52,9 @@ def test_a_motion_has_no_pose_beyond_its_route():
     assert motion.pose(16, flat) is None
     pose = motion.pose(10, flat)
     assert pose is not None
-    np.testing.assert_allclose(pose, [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(
+        pose, [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("upright", [True, False])

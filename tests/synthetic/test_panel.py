@@ -41,12 +41,16 @@ def removed(name: str, sequence: InMemory) -> list[Bool]:
     return found.frames
 
 
-def test_points_that_most_methods_keep_are_static_and_those_that_all_remove_dynamic(unlabelled: InMemory) -> None:
+def test_points_that_most_methods_keep_are_static_and_those_that_all_remove_dynamic(
+    unlabelled: InMemory,
+) -> None:
     steps: list[str] = []
     agreed = votes(unlabelled, PANEL, lambda phase, done, total: steps.append(phase))
     both = list(zip(*(removed(name, unlabelled) for name in PANEL), strict=True))
     for position, (a, b) in enumerate(both):
-        np.testing.assert_array_equal(agreed.static(position), ~around(unlabelled[position].points, a | b))
+        np.testing.assert_array_equal(
+            agreed.static(position), ~around(unlabelled[position].points, a | b)
+        )
         np.testing.assert_array_equal(agreed.dynamic(position), a & b)
     assert 0 < sum((a & b).sum() for a, b in both) < sum((a | b).sum() for a, b in both)
     assert {"beautymap: observe", "removert: label"} <= set(steps)
@@ -66,7 +70,9 @@ def test_one_of_three_methods_is_outvoted(unlabelled: InMemory) -> None:
         removals = np.sum(ballot, axis=0)
         assert not agreed.static(position)[removals >= 2].any()
         np.testing.assert_array_equal(agreed.dynamic(position), removals == 3)
-    kept = sum(agreed.static(k)[np.sum(ballot, axis=0) == 1].sum() for k, ballot in enumerate(ballots))
+    kept = sum(
+        agreed.static(k)[np.sum(ballot, axis=0) == 1].sum() for k, ballot in enumerate(ballots)
+    )
     assert kept > 100
 
 
@@ -84,7 +90,9 @@ def test_the_panel_of_a_method_does_not_contain_it() -> None:
     assert "dufomap" not in default_panel(without="dufomap")
 
 
-def test_implants_may_cross_the_trails_of_movers_that_the_panel_agrees_on(unlabelled: InMemory) -> None:
+def test_implants_may_cross_the_trails_of_movers_that_the_panel_agrees_on(
+    unlabelled: InMemory,
+) -> None:
     gone = removed("removert", unlabelled)
     free = Survey.of(unlabelled, moving=lambda position: gone[position])
     blocked = Survey.of(unlabelled)
@@ -94,7 +102,9 @@ def test_implants_may_cross_the_trails_of_movers_that_the_panel_agrees_on(unlabe
 
 
 def test_a_sequence_with_a_panel(unlabelled: InMemory) -> None:
-    options = ImplantOptions(cars=0, trucks=0, cyclists=0, persons=2, parks=0, seed=3, panel=("removert",))
+    options = ImplantOptions(
+        cars=0, trucks=0, cyclists=0, persons=2, parks=0, seed=3, panel=("removert",)
+    )
     sequence = ImplantedSequence.of(unlabelled, options)
     gone = around(unlabelled[-1].points, removed("removert", unlabelled)[-1])
     scan = sequence[-1]
@@ -113,7 +123,9 @@ def test_labels_of_the_sequence_come_first(street: InMemory) -> None:
     options = ImplantOptions(cars=0, trucks=0, cyclists=0, persons=2, parks=0, seed=3)
     plain = ImplantedSequence.of(street, options)
     static = np.ones(len(street[2]), np.bool_)
-    filled = ImplantedSequence(street, plain.scene, plain.lidar, "x", ("any",), lambda position: static)
+    filled = ImplantedSequence(
+        street, plain.scene, plain.lidar, "x", ("any",), lambda position: static
+    )
     np.testing.assert_array_equal(filled[2].labels, plain[2].labels)
 
 

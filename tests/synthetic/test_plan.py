@@ -18,7 +18,9 @@ CARS = ImplantOptions(cars=2, trucks=0, cyclists=0, persons=0, parks=0, seed=0)
 
 def plain(speed: float) -> InMemory:
     """A sensor that drives over an open plain, in m/s."""
-    flat = np.stack(np.meshgrid(np.arange(-40, 40, 0.25), np.arange(-15, 15, 0.25), [-1.7]), -1).reshape(-1, 3)
+    flat = np.stack(
+        np.meshgrid(np.arange(-40, 40, 0.25), np.arange(-15, 15, 0.25), [-1.7]), -1
+    ).reshape(-1, 3)
     scans = []
     for frame in range(FRAMES):
         T_world_sensor = np.eye(4)

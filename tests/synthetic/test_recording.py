@@ -34,7 +34,10 @@ def folder(tmp_path_factory):
 
 
 def in_body(scene, mover, sweep):
-    """Points in the frame of a mover, and its (2, 3) bounds there; None while it is not in the scene."""
+    """Points in the frame of a mover, and its (2, 3) bounds there.
+
+    None while it is not in the scene.
+    """
     T = mover.motion.pose(sweep.time, scene.height)
     if T is None:
         return None
@@ -52,7 +55,9 @@ def test_dynamic_points_lie_on_their_mover_and_no_static_point_in_one(street):
                 assert not own.any()
                 continue
             points, (low, high) = found
-            assert ((points[own] > low - 0.12) & (points[own] < high + 0.12)).all()  # six times the range noise
+            assert (
+                (points[own] > low - 0.12) & (points[own] < high + 0.12)
+            ).all()  # six times the range noise
             within = ((points > np.add(low, (0.1, 0.1, 0.2))) & (points < high - 0.1)).all(1)
             assert (sweep.labels[within] == 1).all()
             assert (sweep.kinds[own] == mover.kind).all()
@@ -75,14 +80,22 @@ def standing(mover, times):
 
 @pytest.mark.parametrize(
     ("kind", "when"),
-    [(ObjectClass.MOVING_PERSON, "first"), (ObjectClass.MOVING_CAR, "first"), (ObjectClass.MOVING_CAR, "last")],
+    [
+        (ObjectClass.MOVING_PERSON, "first"),
+        (ObjectClass.MOVING_CAR, "first"),
+        (ObjectClass.MOVING_CAR, "last"),
+    ],
 )
 def test_a_mover_that_stands_for_a_while_is_always_dynamic(street, kind, when):
     scene, sweeps = street
     times = [sweep.time for sweep in sweeps]
     half = slice(0, 5) if when == "first" else slice(-5, None)
     stays = [standing(m, times) for m in scene.movers]
-    chosen = [m for m, still in zip(scene.movers, stays, strict=True) if m.kind == kind and still[half].all()]
+    chosen = [
+        m
+        for m, still in zip(scene.movers, stays, strict=True)
+        if m.kind == kind and still[half].all()
+    ]
     chosen = [m for m in chosen if not standing(m, times).all()]
     assert len(chosen) == 1
     counts = [(sweep.instances == chosen[0].instance).sum() for sweep in sweeps]
@@ -106,13 +119,19 @@ def test_multipath_returns_lie_below_the_ground_and_are_static(street):
 def test_the_world_is_the_first_sensor_frame_above_the_ground(street):
     _, sweeps = street
     np.testing.assert_allclose(sweeps[0].T_world_sensor, np.eye(4), atol=1e-12)
-    road = sweeps[0].points[(sweeps[0].kinds == ObjectClass.ROAD) & (np.linalg.norm(sweeps[0].points, axis=1) < 6)]
+    road = sweeps[0].points[
+        (sweeps[0].kinds == ObjectClass.ROAD) & (np.linalg.norm(sweeps[0].points, axis=1) < 6)
+    ]
     assert np.median(road[:, 2]) == pytest.approx(-load_sensor("vlp16").height, abs=0.1)
 
 
 def test_a_sensor_without_a_height_is_not_on_the_ground(street):
-    unknown, known = (dataclasses.replace(load_sensor("vlp16"), height=height) for height in (None, HEIGHT))
-    np.testing.assert_array_equal(sensor_pose(street[0], unknown, 0.0), sensor_pose(street[0], known, 0.0))
+    unknown, known = (
+        dataclasses.replace(load_sensor("vlp16"), height=height) for height in (None, HEIGHT)
+    )
+    np.testing.assert_array_equal(
+        sensor_pose(street[0], unknown, 0.0), sensor_pose(street[0], known, 0.0)
+    )
 
 
 def test_pose_errors_have_the_given_size():
@@ -121,13 +140,17 @@ def test_pose_errors_have_the_given_size():
     scene = build(preset, 40)
     errors = [
         geometry.inverse(a.T_world_sensor) @ b.T_world_sensor
-        for a, b in zip(record_sweeps(scene, exact, 40), record_sweeps(scene, preset, 40), strict=True)
+        for a, b in zip(
+            record_sweeps(scene, exact, 40), record_sweeps(scene, preset, 40), strict=True
+        )
     ]
     assert 0.01 < np.std([e[:3, 3] for e in errors]) < 0.03
     assert 0.05 < np.degrees(np.std([e[np.tril_indices(3, -1)] for e in errors])) < 0.15
 
 
-@pytest.mark.parametrize("name", [name for name in PRESETS if not name.endswith("_real")] + ["square_vlp32c_real"])
+@pytest.mark.parametrize(
+    "name", [name for name in PRESETS if not name.endswith("_real")] + ["square_vlp32c_real"]
+)
 def test_every_preset_renders(name):
     preset = PRESETS[name]
     first, second = record_sweeps(build(preset, 2), preset, 2)
@@ -137,7 +160,9 @@ def test_every_preset_renders(name):
         assert np.isfinite(sweep.points).all()
         assert sensor.min_range - 0.5 < ranges.min()
         assert ranges.max() < sensor.max_range + 0.5
-        assert 0.001 < sweep.labels.mean() < 0.5  # in so short a time all traffic meets the sensor at once
+        assert (
+            0.001 < sweep.labels.mean() < 0.5
+        )  # in so short a time all traffic meets the sensor at once
         assert set(np.unique(sweep.kinds).tolist()) <= set(CLASS_NAMES)
     assert not np.array_equal(first.points[:100], second.points[:100])
 
@@ -147,9 +172,14 @@ def test_open3d_reads_the_files(folder):
 
     cloud = o3d.t.io.read_point_cloud(str(folder / "gt_cloud.pcd"))
     scans = [o3d.t.io.read_point_cloud(str(path)) for path in sorted((folder / "pcd").iterdir())]
-    assert [path.name for path in sorted((folder / "pcd").iterdir())] == ["000000.pcd", "000001.pcd", "000002.pcd"]
+    assert [path.name for path in sorted((folder / "pcd").iterdir())] == [
+        "000000.pcd",
+        "000001.pcd",
+        "000002.pcd",
+    ]
     np.testing.assert_array_equal(
-        cloud.point.positions.numpy(), np.concatenate([scan.point.positions.numpy() for scan in scans])
+        cloud.point.positions.numpy(),
+        np.concatenate([scan.point.positions.numpy() for scan in scans]),
     )
     dynamic = cloud.point["class"].numpy() >= 252
     np.testing.assert_array_equal(cloud.point["intensity"].numpy(), dynamic.astype(np.float32))
@@ -187,8 +217,15 @@ def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tmp_path, f
     code += "simulate('demo', sys.argv[1] + '/demo', frames=3); "
     code += "simulate('hall_vlp16_real', sys.argv[1] + '/hall', frames=2)"
     limit = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-    pin = "import os; hasattr(os, 'sched_setaffinity') and os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); "
-    subprocess.run([sys.executable, "-c", pin + code, str(tmp_path / "again")], env=os.environ | limit, check=True)
+    pin = (
+        "import os; hasattr(os, 'sched_setaffinity') and os.sched_setaffinity(0, "
+        "{min(os.sched_getaffinity(0))}); "
+    )
+    subprocess.run(
+        [sys.executable, "-c", pin + code, str(tmp_path / "again")],
+        env=os.environ | limit,
+        check=True,
+    )
     for made in (folder, real):
         for path in (p for p in made.rglob("*") if p.is_file()):
             again = tmp_path / "again" / made.name / path.relative_to(made)
@@ -201,7 +238,9 @@ def test_several_processes_give_the_same_bytes(tmp_path, folder, monkeypatch):
     monkeypatch.setattr(parallel, "WORTH", 1)
     monkeypatch.setattr(parallel.os, "cpu_count", lambda: 2)
     monkeypatch.setattr(
-        parallel, "_received", lambda child, own=parallel._received: started.append(child) or own(child)
+        parallel,
+        "_received",
+        lambda child, own=parallel._received: started.append(child) or own(child),
     )
     again = simulate("demo", tmp_path / "demo", frames=3)
     assert len(started) == 1
@@ -213,7 +252,9 @@ def test_a_process_that_dies_is_reported_and_leaves_no_files(tmp_path, monkeypat
     monkeypatch.setattr(parallel, "WORTH", 1)
     monkeypatch.setattr(parallel.os, "cpu_count", lambda: 2)
     monkeypatch.setenv("PYTHONHOME", str(tmp_path / "nowhere"))  # so that Python does not start
-    with pytest.raises(DynavizError, match=r"a process of the simulation ended with exit code 1\. .*fewer frames"):
+    with pytest.raises(
+        DynavizError, match=r"a process of the simulation ended with exit code 1\. .*fewer frames"
+    ):
         simulate("demo", tmp_path / "a", frames=2)
     assert list(tmp_path.iterdir()) == []
 
@@ -243,7 +284,12 @@ def test_errors_suggest_a_fix_and_leave_no_files(tmp_path, folder):
 
 def test_progress_counts_the_sweeps(tmp_path):
     calls = []
-    simulate("hall_mid360", tmp_path / "hall", frames=2, progress=lambda done, total: calls.append((done, total)))
+    simulate(
+        "hall_mid360",
+        tmp_path / "hall",
+        frames=2,
+        progress=lambda done, total: calls.append((done, total)),
+    )
     assert calls == [(1, 2), (2, 2)]
 
 
@@ -251,5 +297,8 @@ def test_importing_the_package_loads_nothing_heavy():
     code = "import sys, dynaviz.synthetic.simulate; "
     code += "print([m for m in ('open3d', 'scipy', 'numba', 'rerun') if m in sys.modules])"
     assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "[]"
     )

@@ -27,7 +27,12 @@ def test_a_scene_file_round_trips(tmp_path: Path) -> None:
     file.write_bytes(SCENE.to_toml())
     again = ImplantScene.load(file)
     assert again.to_toml() == SCENE.to_toml()
-    assert (again.seed, again.start_ns, again.sequence, again.movers[0].note) == (4, 123, "drive", 'says "hi"')
+    assert (again.seed, again.start_ns, again.sequence, again.movers[0].note) == (
+        4,
+        123,
+        "drive",
+        'says "hi"',
+    )
     np.testing.assert_array_equal(again.movers[0].path, PATH)
 
 
@@ -44,7 +49,9 @@ def test_a_planned_scene_gives_the_same_scans_from_its_file(
 
 
 def test_another_seed_gives_another_scene(street: InMemory, implanted: ImplantedSequence) -> None:
-    other = ImplantedSequence.of(street, ImplantOptions(cars=0, trucks=0, cyclists=1, persons=1, parks=0, seed=4))
+    other = ImplantedSequence.of(
+        street, ImplantOptions(cars=0, trucks=0, cyclists=1, persons=1, parks=0, seed=4)
+    )
     assert other.name == "street-implants-seed4"
     assert other.scene.movers[-1].path.tobytes() != implanted.scene.movers[-1].path.tobytes()
 
@@ -56,7 +63,11 @@ def test_another_seed_gives_another_scene(street: InMemory, implanted: Implanted
         ("seed = 4\n", "", "is invalid: Object missing required field `seed`"),
         ("seed = 4", "seed = 4.5", "is invalid: Expected `int`, got `float` - at `$.seed`"),
         ("range_noise = 0.02", "range_noise = -1", "is invalid: Expected `float` >= 0"),
-        ('kind = "car"', 'kind = "ship"', "is invalid: Invalid enum value 'ship' - at `$.movers[0].kind`"),
+        (
+            'kind = "car"',
+            'kind = "ship"',
+            "is invalid: Invalid enum value 'ship' - at `$.movers[0].kind`",
+        ),
         ("[10.0, 0.0, 1.0]", "[0.0, 0.0, 1.0]", "path contains the same place twice"),
         ("[10.0, 0.0, 1.0]", "[10.0, 0.0]", "is invalid"),
         ("[3.0, 20.0]", "[0.5, 20.0]", "schedule must not decrease"),
@@ -76,7 +87,9 @@ def test_invalid_scene_files(tmp_path: Path, old: str, new: str, problem: str) -
 
 
 def test_time_of_a_scan() -> None:
-    stamped, plain = (Scan(20, np.zeros((0, 3), np.float32), np.eye(4), stamp) for stamp in (2_000_000_123, None))
+    stamped, plain = (
+        Scan(20, np.zeros((0, 3), np.float32), np.eye(4), stamp) for stamp in (2_000_000_123, None)
+    )
     assert SCENE.time(stamped) == 2.0
     assert SCENE.time(plain) == 2.0  # 20 frames at 10 Hz
 
@@ -148,9 +161,14 @@ def test_a_short_way_still_stops_smoothly() -> None:
 
 
 def test_queries_are_parsed() -> None:
-    path, options = parse("kitti_tracking:/data/x y?cars=6&persons=0&seed=3&frames=0:50&stride=2&panel=a,b&scene=s%20t")
+    path, options = parse(
+        "kitti_tracking:/data/x "
+        "y?cars=6&persons=0&seed=3&frames=0:50&stride=2&panel=a,b&scene=s%20t"
+    )
     assert path == "kitti_tracking:/data/x y"
-    assert options == ImplantOptions(cars=6, persons=0, seed=3, frames="0:50", stride=2, panel=("a", "b"), scene="s t")
+    assert options == ImplantOptions(
+        cars=6, persons=0, seed=3, frames="0:50", stride=2, panel=("a", "b"), scene="s t"
+    )
     assert parse("/data/x") == ("/data/x", ImplantOptions())
 
 

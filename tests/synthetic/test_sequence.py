@@ -30,6 +30,9 @@ def test_a_sequence_without_files_has_the_scans_that_are_written(tmp_path):
 
 def test_several_lidars_keep_their_origins(tmp_path):
     text = "square_vlp32c?frames=1&jitter_m=0.03"
-    written, read = dynaviz.open(str(simulate(text, tmp_path / "square")))[0], dynaviz.open(f"simulate:{text}")[0]
+    written, read = (
+        dynaviz.open(str(simulate(text, tmp_path / "square")))[0],
+        dynaviz.open(f"simulate:{text}")[0],
+    )
     np.testing.assert_array_equal(written.points, read.points)
     np.testing.assert_allclose(written.origins, read.origins, atol=1e-9)

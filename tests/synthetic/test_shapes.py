@@ -6,7 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynaviz.synthetic.simulate import objects
-from dynaviz.synthetic.simulate.shapes import Mesh, boxes, ellipsoid, grid, join, layers, leaves, quads, tube
+from dynaviz.synthetic.simulate.shapes import (
+    Mesh,
+    boxes,
+    ellipsoid,
+    grid,
+    join,
+    layers,
+    leaves,
+    quads,
+    tube,
+)
 
 metres = st.floats(0.1, 10)
 
@@ -43,7 +53,9 @@ def test_a_slanted_tube_is_a_prism(radius, height, x, y):
 def test_an_ellipsoid_reaches_its_half_axes(x, y, z):
     mesh = ellipsoid(x, y, z, at=(1, 2, 3), sides=12)
     assert is_closed(mesh)
-    np.testing.assert_allclose(mesh.bounds, [[1 - x, 2 - y, 3 - z], [1 + x, 2 + y, 3 + z]], atol=0.01 * max(x, y, z))
+    np.testing.assert_allclose(
+        mesh.bounds, [[1 - x, 2 - y, 3 - z], [1 + x, 2 + y, 3 + z]], atol=0.01 * max(x, y, z)
+    )
     assert 0.7 < volume(mesh) / (4 / 3 * np.pi * x * y * z) < 1
 
 
@@ -71,7 +83,9 @@ def test_quads_and_leaves_are_flat_pieces():
 
 @given(st.floats(-np.pi, np.pi), metres, metres)
 def test_moving_keeps_the_volume(yaw, x, y):
-    mesh = join([boxes([(0, 0, 0)], (1, 2, 3)), boxes([(9, 0, 0)], (1, 1, 1))]).moved(x, y, 1, yaw=yaw)
+    mesh = join([boxes([(0, 0, 0)], (1, 2, 3)), boxes([(9, 0, 0)], (1, 1, 1))]).moved(
+        x, y, 1, yaw=yaw
+    )
     assert volume(mesh) == pytest.approx(7)
 
 
@@ -102,7 +116,9 @@ def test_a_person_stands_on_the_ground_at_any_step(distance):
 
 
 def test_a_person_swings_the_legs():
-    stride = [np.ptp(objects.person(distance).bounds[:, 0]) for distance in (0.0, objects.STRIDE / 4)]
+    stride = [
+        np.ptp(objects.person(distance).bounds[:, 0]) for distance in (0.0, objects.STRIDE / 4)
+    ]
     assert stride[0] < 0.4 < 0.7 < stride[1]
 
 
@@ -112,7 +128,8 @@ def test_windows_are_openings_in_the_wall():
     walls, panes = objects.house(np.random.default_rng(0), 12.0, 10.0, 3)
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        o3d.core.Tensor(walls.vertices.astype(np.float32)), o3d.core.Tensor(walls.triangles.astype(np.uint32))
+        o3d.core.Tensor(walls.vertices.astype(np.float32)),
+        o3d.core.Tensor(walls.triangles.astype(np.uint32)),
     )
     low, high = panes.bounds
     x, z = np.meshgrid(np.linspace(low[0] + 0.3, high[0], 40), np.linspace(low[2], high[2], 40))

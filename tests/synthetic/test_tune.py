@@ -43,7 +43,9 @@ def tuned(street: Path, out: Path, movers: str = MOVERS, trials: int = 2) -> Tun
 
 
 @pytest.mark.slow
-def test_parameters_are_found_scored_and_kept(street_folder: Path, tmp_path: Path, cheap: None) -> None:
+def test_parameters_are_found_scored_and_kept(
+    street_folder: Path, tmp_path: Path, cheap: None
+) -> None:
     found = tuned(street_folder, tmp_path)
     assert [(score.scored_on, score.parameters) for score in found.scores] == [
         (where, parameters)
@@ -55,12 +57,16 @@ def test_parameters_are_found_scored_and_kept(street_folder: Path, tmp_path: Pat
     assert found.improved == (aa[1] > aa[0])
     assert (aa[0], aa[1]) == (found.board.searches[0].default_aa, found.board.searches[0].aa)
     assert (found.gain is not None) == found.improved
-    assert found.preset.name == ("best-erasor.toml" if found.proven or not found.improved else "unproven-erasor.toml")
+    assert found.preset.name == (
+        "best-erasor.toml" if found.proven or not found.improved else "unproven-erasor.toml"
+    )
     assert [file.name for file in tmp_path.glob("*-erasor.toml")] == [found.preset.name]
     resolved = params.resolve(registry.load("methods", "erasor"), config=found.preset)
     assert resolved.params.scan_ratio == found.scores[1].result.parameters["scan_ratio"]
 
-    scan = open_sequence(str(tmp_path / "implants/seed1"))[2]  # the labels of the street are not in it
+    scan = open_sequence(str(tmp_path / "implants/seed1"))[
+        2
+    ]  # the labels of the street are not in it
     new = np.isin(scan.classes, list(CLASSES.values()))
     assert new.any()
     assert (scan.labels[new] == Label.DYNAMIC).all()
@@ -71,7 +77,9 @@ def test_parameters_are_found_scored_and_kept(street_folder: Path, tmp_path: Pat
     again = tuned(street_folder, tmp_path)
     assert InProcessExecutor.ran == []
     assert [score.result.metrics["AA"] for score in again.scores] == aa
-    with pytest.raises(UsageError, match=r"tune.toml: from a search with another sequence or movers"):
+    with pytest.raises(
+        UsageError, match=r"tune.toml: from a search with another sequence or movers"
+    ):
         tuned(street_folder, tmp_path, MOVERS.replace("persons=2", "persons=3"))
 
 

@@ -1,4 +1,6 @@
-"""Every installed method passes the conformance kit, and the kit catches methods that break the contract."""
+"""Every installed method passes the conformance kit, and the kit catches methods that break the
+contract.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,13 @@ from dynaviz.contracts.probe import Mask, Scalar, State
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.testing import CHECKS, check_method, crossing
 
-# The base of a BeautyMap column depends on columns at lower x and y, so it changes in a rotated world.
+# The base of a BeautyMap column depends on columns at lower x and y, so it changes in a rotated
+# world.
 NOT_MET = {("beautymap", "scores_alike_in_a_moved_world")}
 
 
-# Checks that feed kernels unusual indices: empty scans, points without a voxel, points outside the extent.
+# Checks that feed kernels unusual indices: empty scans, points without a voxel, points outside the
+# extent.
 INDICES = ("survives_few_points", "keeps_points_without_a_place", "survives_odd_places")
 MARKS = {**dict.fromkeys(INDICES, ("boundscheck",)), "scores_alike_in_a_moved_world": ("slow",)}
 
@@ -29,19 +33,26 @@ MARKS = {**dict.fromkeys(INDICES, ("boundscheck",)), "scores_alike_in_a_moved_wo
 @pytest.mark.parametrize(
     "check",
     [
-        pytest.param(check, id=name, marks=[getattr(pytest.mark, mark) for mark in MARKS.get(name, ())])
+        pytest.param(
+            check, id=name, marks=[getattr(pytest.mark, mark) for mark in MARKS.get(name, ())]
+        )
         for name, check in CHECKS.items()
     ],
 )
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(handle.name, marks=pytest.mark.slow if handle.name in ("octomap_g", "octomap_gf") else [])
+        pytest.param(
+            handle.name,
+            marks=pytest.mark.slow if handle.name in ("octomap_g", "octomap_gf") else [],
+        )
         # both add filters to octomap that have tests of their own
         for handle in registry.handles("methods")
     ],
 )
-def test_conforms(name: str, check: Callable[[Any, Any], None], request: pytest.FixtureRequest) -> None:
+def test_conforms(
+    name: str, check: Callable[[Any, Any], None], request: pytest.FixtureRequest
+) -> None:
     if (name, check.__name__) in NOT_MET:
         request.applymarker(pytest.mark.xfail(raises=AssertionError, strict=True))
     method = registry.load("methods", name)
@@ -137,7 +148,10 @@ class DependsOnEvidence(Contradicts):
 
 class DependsOnProbe(Farthest):
     def label(self, scan: Scan) -> Labels:
-        return labels(super().label(scan).dynamic ^ (self.probe.wants("far") & np.isfinite(scan.points).all(1)))
+        return labels(
+            super().label(scan).dynamic
+            ^ (self.probe.wants("far") & np.isfinite(scan.points).all(1))
+        )
 
 
 class OneLabelShort(Farthest):
@@ -164,10 +178,23 @@ class OneReasonForBoth(Farthest):
         (EmitsUndeclared, "emitted but not declared in info.emits: {'secret'}"),
         (NeverEmits, "declared in info.emits but never emitted"),
         (ModifiesInput, "read-only"),
-        (DependsOnProbe, "answers_alike_when_watched: labels change with a probe|used for both kept and removed"),
-        (Contradicts, r"decides_by_its_evidence: the evidence contradicts the labels of \d+ of 99 points of frame"),
-        (StatesNoRule, "decides_by_its_evidence: evidence\\(\\) states no rule for the points of frame 0"),
-        (DependsOnEvidence, "answers_alike_when_watched: labels change with a probe or with questions"),
+        (
+            DependsOnProbe,
+            "answers_alike_when_watched: labels change with a probe|used for both kept and removed",
+        ),
+        (
+            Contradicts,
+            r"decides_by_its_evidence: the evidence contradicts the labels of \d+ of 99 points of "
+            r"frame",
+        ),
+        (
+            StatesNoRule,
+            "decides_by_its_evidence: evidence\\(\\) states no rule for the points of frame 0",
+        ),
+        (
+            DependsOnEvidence,
+            "answers_alike_when_watched: labels change with a probe or with questions",
+        ),
         (OneLabelShort, r"answers_for_every_point: label\(\) returned 9599 labels for 9600 points"),
         (RemovesNan, "keeps_points_without_a_place: a point that is not finite is removed"),
         (OneReasonForBoth, "reason 'near' is used for both kept and removed points"),

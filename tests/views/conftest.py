@@ -19,7 +19,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture(scope="session")
 def merged(runs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Merged recordings of two and three runs; in strict mode, bad data is an error instead of a warning."""
+    """Merged recordings of two and three runs.
+
+    In strict mode, bad data is an error instead of a warning.
+    """
     rr.set_strict_mode(True)
     folder = tmp_path_factory.mktemp("merged")
     inputs = {

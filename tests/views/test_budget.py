@@ -31,7 +31,10 @@ def test_the_budget_is_kept_and_used(most: int) -> None:
 
 
 def test_everything_around_dynamic_points_and_errors_comes_first() -> None:
-    mover, error = np.array([[38.0, 5.0, 0.0]], np.float32), np.array([[-25.0, -25.0, 0.0]], np.float32)
+    mover, error = (
+        np.array([[38.0, 5.0, 0.0]], np.float32),
+        np.array([[-25.0, -25.0, 0.0]], np.float32),
+    )
     chosen = Budget(scan_of(mover), 2000, error).chosen(GROUND)
     for place in (mover, error):
         around = np.flatnonzero((np.abs(GROUND - place) < 0.99).all(1))
@@ -59,14 +62,22 @@ def test_points_without_a_place_are_left_out() -> None:
 def test_thinned_points_are_the_first_of_their_cell(seed: int, size: float) -> None:
     points = kernels.as_readonly(np.random.default_rng(seed).uniform(-6, 6, (300, 3)), np.float32)
     rows, all_cells_alike = np.arange(len(points)), 100.0
-    kept, complete = kernels.thinning.thinned(points, rows, np.zeros(3), size, all_cells_alike, 1000, 1.0)
-    _, first = np.unique(np.floor(points.astype(np.float64) * (1.0 / size)), axis=0, return_index=True)
+    kept, complete = kernels.thinning.thinned(
+        points, rows, np.zeros(3), size, all_cells_alike, 1000, 1.0
+    )
+    _, first = np.unique(
+        np.floor(points.astype(np.float64) * (1.0 / size)), axis=0, return_index=True
+    )
     assert kept.tolist() == np.sort(first).tolist()
     assert complete
-    some, complete = kernels.thinning.thinned(points, rows, np.zeros(3), size, all_cells_alike, len(kept) - 1, 1.0)
+    some, complete = kernels.thinning.thinned(
+        points, rows, np.zeros(3), size, all_cells_alike, len(kept) - 1, 1.0
+    )
     assert some.tolist() == kept[:-1].tolist()
     assert not complete
-    few, complete = kernels.thinning.thinned(points, rows, np.zeros(3), 1e-3, all_cells_alike, 1000, 0.25)
+    few, complete = kernels.thinning.thinned(
+        points, rows, np.zeros(3), 1e-3, all_cells_alike, 1000, 0.25
+    )
     assert 60 <= len(few) <= 90
     assert np.diff(few).max() <= 8
     assert complete

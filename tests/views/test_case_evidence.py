@@ -1,4 +1,6 @@
-"""Sentences about cases follow from the stored evidence, for every method and each cause that it gives."""
+"""Sentences about cases follow from the stored evidence, for every method and each cause that it
+gives.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ METHODS = sorted(registry.loadable("methods"))
 
 
 @pytest.fixture(scope="module", params=METHODS)
-def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RunRecording:
+def recording(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> RunRecording:
     scans = room(6, 1500)
     scans = replace(scans, sensor=replace(scans.sensor, rings=24, elevation=(-60.0, 60.0)))
     folder = tmp_path_factory.mktemp("evidence")
@@ -39,7 +43,9 @@ def cases(recording: RunRecording) -> list[tuple[int, tuple[PointLedger, ...]]]:
     return [(number, ledgers) for number in listed if (ledgers := recording.ledgers(number))]
 
 
-def test_the_costliest_case_has_evidence_and_its_points_are_stored_with_their_answers(recording: RunRecording) -> None:
+def test_the_costliest_case_has_evidence_and_its_points_are_stored_with_their_answers(
+    recording: RunRecording,
+) -> None:
     assert recording.result is not None
     answers = {each.frame: each for each in recording.answers()}
     assert not recording.result.failures or recording.ledgers(1)
@@ -57,26 +63,44 @@ def test_the_costliest_case_has_evidence_and_its_points_are_stored_with_their_an
 def test_the_sentence_of_a_case_quotes_a_reason_of_its_points(recording: RunRecording) -> None:
     assert recording.result is not None
     for case in recording.result.failures:
-        meanings = [reason.meaning.partition(": ")[2] for reason in recording.reasons if reason.name in case.reasons]
-        assert any(case.sentence.lower().endswith(f"{meaning.lower()}.") for meaning in meanings), case.sentence
+        meanings = [
+            reason.meaning.partition(": ")[2]
+            for reason in recording.reasons
+            if reason.name in case.reasons
+        ]
+        assert any(case.sentence.lower().endswith(f"{meaning.lower()}.") for meaning in meanings), (
+            case.sentence
+        )
 
 
 def test_the_numbers_of_the_evidence_are_those_of_the_ledgers(recording: RunRecording) -> None:
     for _, ledgers in cases(recording):
         found = evidence_of(ledgers)
-        assert found.hit == median(sum(entry.hits > 0 for entry in ledger.entries) for ledger in ledgers)
-        assert found.crossed == median(sum(entry.crossed > 0 for entry in ledger.entries) for ledger in ledgers)
+        assert found.hit == median(
+            sum(entry.hits > 0 for entry in ledger.entries) for ledger in ledgers
+        )
+        assert found.crossed == median(
+            sum(entry.crossed > 0 for entry in ledger.entries) for ledger in ledgers
+        )
         assert f"hit by {found.hit:g} scan" in found.text
         assert f"crossed by {found.crossed:g} of {found.searched}" in found.text
         assert found.deciding is not None
         for term in found.deciding.terms:
             assert term.holds == found.removed
-            if term.value is not None and math.isfinite(term.value) and not math.isnan(term.threshold):
+            if (
+                term.value is not None
+                and math.isfinite(term.value)
+                and not math.isnan(term.threshold)
+            ):
                 assert TESTS[term.test](term.value, term.threshold) == found.removed
 
 
-def test_a_case_and_its_points_have_one_cause_which_the_measured_angles_decide(recording: RunRecording) -> None:
-    """The share that all sentences quote decides, and the rays that crossed its stored points agree."""
+def test_a_case_and_its_points_have_one_cause_which_the_measured_angles_decide(
+    recording: RunRecording,
+) -> None:
+    """The share that all sentences quote decides, and the rays that crossed its stored points
+    agree.
+    """
     meanings = {reason.name: reason.meaning.partition(": ")[2] for reason in recording.reasons}
     assert recording.result is not None
     for number, ledgers in cases(recording):
@@ -88,8 +112,14 @@ def test_a_case_and_its_points_have_one_cause_which_the_measured_angles_decide(r
         assert case.sentence.lower().endswith(f"{meanings[case.reason].lower()}.")
         deciding = [ledger for ledger in ledgers if ledger.reason.name == case.reason]
         text = evidence_text(ledgers, case)
-        assert text.startswith(evidence_of(deciding).text) if deciding else "another reason decides" in text
-        stated = f"Rays meet {100 * (case.grazed or 0):.0f} % of its surface at less than {GRAZING:g}°."
+        assert (
+            text.startswith(evidence_of(deciding).text)
+            if deciding
+            else "another reason decides" in text
+        )
+        stated = (
+            f"Rays meet {100 * (case.grazed or 0):.0f} % of its surface at less than {GRAZING:g}°."
+        )
         assert evidence_text(ledgers, case).endswith(stated) == (case.grazed is not None)
         if case.cause == Cause.GRAZING_RAYS:
             assert (case.grazed or 0) > 0.5
@@ -101,17 +131,24 @@ def test_a_case_and_its_points_have_one_cause_which_the_measured_angles_decide(r
             assert 2 * len(angles) < len(crossing) or median(angles) >= GRAZING
 
 
-CLAIMS: dict[str, dict[str, Callable[[PointLedger], bool]]] = {  # what a reason states, by the ledger alone
+# what a reason states, by the ledger alone
+CLAIMS: dict[str, dict[str, Callable[[PointLedger], bool]]] = {
     "octomap": {
         "crossed_by_rays": lambda ledger: any("crossed" in entry.steps for entry in ledger.entries),
-        "hit_more_than_missed": lambda ledger: any("crossed" in entry.steps for entry in ledger.entries),
-        "never_crossed": lambda ledger: not any("crossed" in entry.steps for entry in ledger.entries),
+        "hit_more_than_missed": lambda ledger: any(
+            "crossed" in entry.steps for entry in ledger.entries
+        ),
+        "never_crossed": lambda ledger: (
+            not any("crossed" in entry.steps for entry in ledger.entries)
+        ),
         "ground_plane": lambda ledger: not _holds(ledger, "on the ground plane"),
         "noise_cell": lambda ledger: any("hit" in entry.steps for entry in ledger.entries),
     },
     "dufomap": {
         "void_seen": lambda ledger: 2.0 in _values(ledger, "saw"),
-        "beside_unknown": lambda ledger: 1.0 in _values(ledger, "saw") and 2.0 not in _values(ledger, "saw"),
+        "beside_unknown": lambda ledger: (
+            1.0 in _values(ledger, "saw") and 2.0 not in _values(ledger, "saw")
+        ),
         "never_crossed": lambda ledger: _values(ledger, "saw") <= {0.0},
     },
     "dynablox": {
@@ -128,7 +165,9 @@ CLAIMS: dict[str, dict[str, Callable[[PointLedger], bool]]] = {  # what a reason
         "above_highest_seen": lambda ledger: 3.0 in _values(ledger, "outcome"),
         "above_view": lambda ledger: 4.0 in _values(ledger, "outcome"),
         "ground_slice": lambda ledger: 5.0 in _values(ledger, "outcome"),
-        "overhang": lambda ledger: 6.0 in _values(ledger, "outcome") or _holds(ledger, "removed slice above it"),
+        "overhang": lambda ledger: (
+            6.0 in _values(ledger, "outcome") or _holds(ledger, "removed slice above it")
+        ),
         "ray_blocked": lambda ledger: 7.0 in _values(ledger, "outcome"),
         "not_in_scan": lambda ledger: _rule(ledger, "slice missed"),
         "above_fine_ground": lambda ledger: _rule(ledger, "above the ground"),
@@ -144,24 +183,36 @@ CLAIMS: dict[str, dict[str, Callable[[PointLedger], bool]]] = {  # what a reason
     },
     "removert": {
         "nearer_than_scan_at_res_1": lambda ledger: ledger.rules[0].holds,
-        "nearer_than_scan_at_res_2": lambda ledger: [rule.holds for rule in ledger.rules[:2]] == [False, True],
-        "nearer_than_scan_at_res_3": lambda ledger: [rule.holds for rule in ledger.rules[:3]] == [False, False, True],
+        "nearer_than_scan_at_res_2": lambda ledger: (
+            [rule.holds for rule in ledger.rules[:2]] == [False, True]
+        ),
+        "nearer_than_scan_at_res_3": lambda ledger: (
+            [rule.holds for rule in ledger.rules[:3]] == [False, False, True]
+        ),
         "agrees": lambda ledger: not any(rule.holds for rule in ledger.rules),
         "hidden": lambda ledger: not any(rule.holds for rule in ledger.rules),
     },
     "hmm_mos": {
         "warm_up": lambda ledger: not _holds(ledger, "scans so far"),
-        "long_occupied": lambda ledger: 1.0 in _values(ledger, "state") and not _holds(ledger, "summed score"),
+        "long_occupied": lambda ledger: (
+            1.0 in _values(ledger, "state") and not _holds(ledger, "summed score")
+        ),
         "unknown_around": lambda ledger: _value(ledger, "summed score") == 0,
-        "below_threshold": lambda ledger: 0 < _value(ledger, "summed score") <= _threshold(ledger, "summed score"),
+        "below_threshold": lambda ledger: (
+            0 < _value(ledger, "summed score") <= _threshold(ledger, "summed score")
+        ),
         "above_threshold": lambda ledger: _rule(ledger, "above"),
         "carried": lambda ledger: _rule(ledger, "carried"),
         "beside_dynamic": lambda ledger: _rule(ledger, "next to dynamic"),
     },
     "freedom": {
         "never_seen_through": lambda ledger: _values(ledger, "passes") <= {0.0},
-        "seen_too_rarely": lambda ledger: max(_values(ledger, "passes")) > 0 and 27 not in _values(ledger, "clear"),
-        "beside_unclear": lambda ledger: max(_values(ledger, "passes")) > 0 and 27 not in _values(ledger, "clear"),
+        "seen_too_rarely": lambda ledger: (
+            max(_values(ledger, "passes")) > 0 and 27 not in _values(ledger, "clear")
+        ),
+        "beside_unclear": lambda ledger: (
+            max(_values(ledger, "passes")) > 0 and 27 not in _values(ledger, "clear")
+        ),
         "in_free_space": lambda ledger: _rule(ledger, "level"),
         "grown_in_scan": lambda ledger: _rule(ledger, "level"),
         "turned_free": lambda ledger: _rule(ledger, "level"),
@@ -172,13 +223,15 @@ CLAIMS: dict[str, dict[str, Callable[[PointLedger], bool]]] = {  # what a reason
     "seethrough": {
         "low": lambda ledger: not _holds(ledger, "height above the ground"),
         "never_clear": lambda ledger: _value(ledger, "evidence of its voxel") <= 0,
-        "too_little_clear": lambda ledger: _value(ledger, "evidence of its voxel") > 0 and not _rule(ledger, "place"),
+        "too_little_clear": lambda ledger: (
+            _value(ledger, "evidence of its voxel") > 0 and not _rule(ledger, "place")
+        ),
         "seen_through": lambda ledger: _rule(ledger, "place"),
         "followed": lambda ledger: _rule(ledger, "place"),
         "foot": lambda ledger: _rule(ledger, "foot") or _rule(ledger, "empty foot"),
         "high": lambda ledger: not _holds(ledger, "more than 4.5 m above the ground"),
     },
-}  # fmt: skip
+}
 
 
 def _values(ledger: PointLedger, name: str) -> set[float]:
@@ -211,7 +264,10 @@ def test_what_a_reason_states_follows_from_the_ledger(recording: RunRecording) -
     method = str(recording.properties["method"]).partition("_g")[0]
     for _, ledgers in cases(recording):
         for ledger in ledgers:
-            if ledger.reason.cause in (None, Cause.OUT_OF_RANGE):  # it states nothing that a scan contributed
+            if ledger.reason.cause in (
+                None,
+                Cause.OUT_OF_RANGE,
+            ):  # it states nothing that a scan contributed
                 continue
             assert CLAIMS[method][ledger.reason.name](ledger), (ledger.reason.name, ledger.point)
             rule = decided_by(ledger)
@@ -231,7 +287,9 @@ def test_sums_of_log_odds_follow_from_their_steps(recording: RunRecording) -> No
     ]
     assert bool(found) == str(recording.properties["method"]).startswith("octomap")
     logit = {
-        name: math.log(p / (1 - p)) for name, p in recording.parameters.items() if name.startswith(("prob_", "clamp_"))
+        name: math.log(p / (1 - p))
+        for name, p in recording.parameters.items()
+        if name.startswith(("prob_", "clamp_"))
     }
     for ledger, quantity in found:
         total, (low, high) = 0.0, (logit[name] for name in quantity.limits)
@@ -250,4 +308,6 @@ def test_the_page_draws_each_scan_once(recording: RunRecording) -> None:
         assert frames == sorted({entry.frame for ledger in ledgers for entry in ledger.entries})
         assert all(0 <= scan[share] <= 1 for scan in drawn["scans"] for share in ("hit", "crossed"))
         asked = what_if(ledgers, recording.parameters)
-        assert asked is None or all(p["value"] == recording.parameters[p["name"]] for p in asked["parameters"])
+        assert asked is None or all(
+            p["value"] == recording.parameters[p["name"]] for p in asked["parameters"]
+        )

@@ -47,7 +47,9 @@ def test_no_legend_is_written_twice(recorded: RunRecording) -> None:
     """Viewers before 0.43.2 ignore a static legend that replaces another."""
     chunks = RrdReader(recorded.path).stream().to_chunks()
     legends = [
-        chunk for chunk in chunks if any("AnnotationContext" in name for name in chunk.to_record_batch().schema.names)
+        chunk
+        for chunk in chunks
+        if any("AnnotationContext" in name for name in chunk.to_record_batch().schema.names)
     ]
     assert len(legends) > 1
     assert all(chunk.is_static and chunk.num_rows == 1 for chunk in legends)
@@ -75,7 +77,9 @@ def test_the_box_of_a_case_contains_its_wrong_points(recorded: RunRecording) -> 
         centre, half = (boxes[number][f"Boxes3D:{part}"][0] for part in ("centers", "half_sizes"))
         assert boxes[number]["Boxes3D:labels"][0] == f"{number} {DID[case.kind]} {case.what}"
         points = drawn[case.worst_frame]
-        wrong = points.xyz[np.isin(points.outcome, (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE))]
+        wrong = points.xyz[
+            np.isin(points.outcome, (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE))
+        ]
         assert (np.abs(wrong - centre) <= half + 1e-4).all(1).any()
         np.testing.assert_allclose(aims[number]["LineStrips3D:strips"][0][1], centre, atol=1e-5)
 
@@ -104,7 +108,11 @@ def test_hits_end_in_the_case_and_crossings_beyond(recorded: RunRecording) -> No
 
 def test_objects_over_time_follow_from_the_result_and_the_ledgers(recorded: RunRecording) -> None:
     case = recorded.result.failures[0]
-    (root,) = {path.rsplit("/", 1)[0] for path in recorded.entities() if path.startswith(f"{paths.OBJECTS}/01_")}
+    (root,) = {
+        path.rsplit("/", 1)[0]
+        for path in recorded.entities()
+        if path.startswith(f"{paths.OBJECTS}/01_")
+    }
     spans = {**case.spans, **witnesses.spans_of_rays(recorded.ledgers(1))}
     assert spans
     for name in LANES:
@@ -113,7 +121,9 @@ def test_objects_over_time_follow_from_the_result_and_the_ledgers(recorded: RunR
             at[frame] = row["StateChange:state"][0]
         for frame in range(recorded.frames):
             found = at.get(frame, found)
-            expected = [state for state, (first, last) in lane(spans, name) if first <= frame <= last]
+            expected = [
+                state for state, (first, last) in lane(spans, name) if first <= frame <= last
+            ]
             assert [found] * bool(found) == expected
 
 
@@ -121,14 +131,19 @@ def test_each_frame_shows_its_costliest_case(recorded: RunRecording) -> None:
     shown = dict(recorded.rows(paths.CASE_BOX))
     cases = failures(recorded)
     for frame, row in shown.items():
-        present = [n for n, case in enumerate(cases, 1) if case.first_frame <= frame <= case.last_frame]
+        present = [
+            n for n, case in enumerate(cases, 1) if case.first_frame <= frame <= case.last_frame
+        ]
         assert int(row["Boxes3D:labels"][0].split()[0]) in present
     assert set(shown) == set(range(6))
 
 
 def test_the_curves_of_cases_are_their_costs(recorded: RunRecording) -> None:
     for metric in ("SA", "DA"):
-        costs = [row["Scalars:scalars"][0] for row in at_cases(recorded, f"{paths.CASE_COST}/{metric}").values()]
+        costs = [
+            row["Scalars:scalars"][0]
+            for row in at_cases(recorded, f"{paths.CASE_COST}/{metric}").values()
+        ]
         expected = [case.cost if case.metric == metric else np.nan for case in failures(recorded)]
         np.testing.assert_allclose(costs, expected)
         *_, last = at_cases(recorded, f"{paths.CASE_SCORE}/{metric}").values()
@@ -153,7 +168,10 @@ def test_without_ground_truth_nothing_is_called_right(tmp_path: Path) -> None:
     assert frames.tolist() == [0, 1, 2, 3]
     assert values.sum() == removed
     assert recording.result is not None
-    sizes = [row["Scalars:scalars"][0] for row in at_cases(recording, f"{paths.CASE_COST}/points").values()]
+    sizes = [
+        row["Scalars:scalars"][0]
+        for row in at_cases(recording, f"{paths.CASE_COST}/points").values()
+    ]
     assert sizes == [cluster.points for cluster in suspicious(recording.result)] != []
 
 
@@ -164,11 +182,16 @@ def test_recordings_open_at_the_first_case(recorded: RunRecording) -> None:
     assert opened == (paths.CASE, 1)
     assert {"case", "frame", "what and why", "failures"} <= set(shown)
     assert {name: reports for name, reports in shown.items() if reports} == {}
-    assert set(shown) >= {state.name for state in Guess.info.emits if state.name not in ("remark", "count")}
+    assert set(shown) >= {
+        state.name for state in Guess.info.emits if state.name not in ("remark", "count")
+    }
 
 
 def test_a_case_refers_to_pictures_where_nothing_else_shows_it() -> None:
-    states = State("hits", Voxels, "Voxels that were hit"), State("scan", RangeImage, "Nearest returns")
+    states = (
+        State("hits", Voxels, "Voxels that were hit"),
+        State("scan", RangeImage, "Nearest returns"),
+    )
     both, voxels, none = (MethodInfo("m", "M", "", (), emits) for emits in (states, states[:1], ()))
     assert "the tab *hits* shows this place: Voxels that were hit." in see(both, "hits")
     assert "pictures of what the method saw" in see(both, None)

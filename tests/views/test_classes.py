@@ -18,13 +18,19 @@ def test_ids_contain_outcome_and_reason_and_each_has_a_label() -> None:
     ids = classes.encode(outcome, reasons, len(REASONS))
     assert ids.dtype == np.uint16
     np.testing.assert_array_equal(classes.outcomes(ids), outcome)
-    legend = {number: (label, colour) for number, label, colour in classes.legend(REASONS, has_labels=True)}
+    legend = {
+        number: (label, colour)
+        for number, label, colour in classes.legend(REASONS, has_labels=True)
+    }
     assert set(ids.tolist()) < set(legend)
     ghost = int(classes.encode(np.array([Outcome.FALSE_NEGATIVE]), np.array([0]), 2)[0])
     assert legend[ghost] == ("ghost: never crossed", colours.BRIGHT[Outcome.FALSE_NEGATIVE])
     words = {label for _, label, _ in classes.legend(REASONS, has_labels=False)}
     assert "appeared" in {
-        label for _, label, _ in classes.legend((Reason("appeared", "x"),), has_labels=False, compares=True)
+        label
+        for _, label, _ in classes.legend(
+            (Reason("appeared", "x"),), has_labels=False, compares=True
+        )
     }
     assert {"kept: crossed", "removed: crossed"} < words
     assert not any("unlabelled" in word for word in words)

@@ -23,10 +23,16 @@ from dynaviz.scores.result import Result
 from dynaviz.views.compare import merge
 from dynaviz.views.read.reader import read
 
-KINDS = [(truth, who) for truth in ("static", "dynamic") for who in ("neither", "only_first", "only_second", "both")]
+KINDS = [
+    (truth, who)
+    for truth in ("static", "dynamic")
+    for who in ("neither", "only_first", "only_second", "both")
+]
 
 
-@pytest.mark.parametrize(("mode", "other"), [(m, None) for m in MODES] + [("full", "errors"), ("errors", "scores")])
+@pytest.mark.parametrize(
+    ("mode", "other"), [(m, None) for m in MODES] + [("full", "errors"), ("errors", "scores")]
+)
 def test_against_raw_labels(runs: dict[str, Path], mode: str, other: str | None) -> None:
     comparison = dv.compare(*pair(runs, mode, other))
     found = comparison.pairs[0]
@@ -34,7 +40,9 @@ def test_against_raw_labels(runs: dict[str, Path], mode: str, other: str | None)
     raw = [dynamic_labels(runs[f"{mode}/{name}"]) for name in ("fine", "coarse")]
     for scan, a, b in zip(odd_room().scans, *raw, strict=True):
         assert scan.labels is not None
-        for truth, first, second, xyz in zip(scan.labels, a == scan.labels, b == scan.labels, scan.points, strict=True):
+        for truth, first, second, xyz in zip(
+            scan.labels, a == scan.labels, b == scan.labels, scan.points, strict=True
+        ):
             if truth == 255:
                 continue
             right[KINDS[4 * truth + first + 2 * second]] += 1
@@ -42,7 +50,9 @@ def test_against_raw_labels(runs: dict[str, Path], mode: str, other: str | None)
                 row = wrong.setdefault(tuple(np.floor(xyz[:2] / 5) * 5), [0, 0, 0, 0])
                 row[truth] += not first
                 row[2 + truth] += not second
-    assert right == +Counter({(truth, who): getattr(getattr(found.right, truth), who) for truth, who in KINDS})
+    assert right == +Counter(
+        {(truth, who): getattr(getattr(found.right, truth), who) for truth, who in KINDS}
+    )
     assert found.right.dynamic.only_first > 0
     results = [Result.load(runs[f"{mode}/{name}"] / "result.json") for name in ("fine", "coarse")]
     for name, score in found.scores.items():
@@ -59,7 +69,9 @@ def test_against_raw_labels(runs: dict[str, Path], mode: str, other: str | None)
     assert found.places is not None
     assert len(found.places) == 10
     for place in found.places:
-        assert [n for side in (place.first, place.second) for n in (side.FP, side.FN)] == wrong[place.low]
+        assert [n for side in (place.first, place.second) for n in (side.FP, side.FN)] == wrong[
+            place.low
+        ]
 
 
 def test_all_modes_give_the_same_comparison(runs: dict[str, Path]) -> None:
@@ -76,10 +88,16 @@ def test_all_modes_give_the_same_comparison(runs: dict[str, Path]) -> None:
 def test_names_and_tables(runs: dict[str, Path]) -> None:
     comparison = dv.compare(*pair(runs, "errors"))
     assert comparison.pairs[0].differ == (SettingChange("resolution", 0.15, 0.6),)
-    assert [run.name for run in comparison.runs] == ["octomap resolution=0.15", "octomap resolution=0.6"]
+    assert [run.name for run in comparison.runs] == [
+        "octomap resolution=0.15",
+        "octomap resolution=0.6",
+    ]
     assert comparison.title == "A octomap resolution=0.15 | B octomap resolution=0.6 on room"
     shown = str(comparison)
-    assert all(word in shown for word in ("only A", "crossed_by_rays", "95 % interval", "30-50 m", "resolution"))
+    assert all(
+        word in shown
+        for word in ("only A", "crossed_by_rays", "95 % interval", "30-50 m", "resolution")
+    )
     again = dv.compare(*pair(runs, "errors")[:1] * 2)
     assert [run.name for run in again.runs] == ["octomap fine"] * 2
     assert "are even" in again.verdicts()[0]
@@ -103,7 +121,10 @@ def test_without_dynamic_points(tmp_path: Path) -> None:
     def static(scan: Scan) -> Scan:
         return replace(scan, labels=np.zeros(len(scan), np.uint8))
 
-    a, b = (changed(tmp_path / f"{name}.rrd", static, mode=mode) for name, mode in (("a", "errors"), ("b", "full")))
+    a, b = (
+        changed(tmp_path / f"{name}.rrd", static, mode=mode)
+        for name, mode in (("a", "errors"), ("b", "full"))
+    )
     comparison = dv.compare(a, b, out=tmp_path / "compare.rrd")
     scores = comparison.pairs[0].scores
     assert ScoreChange(None, None, None, None) == scores.AA
@@ -142,7 +163,11 @@ def test_refusals(runs: dict[str, Path], merged: dict[str, Path], tmp_path: Path
             DataError,
             r"other\.rrd: is from a different sequence than .*room, 4 frames.* instead of",
         ),
-        ((a, torn), DataError, r"torn.*contains an unfinished run\. Run it again with: dynaviz run guess room"),
+        (
+            (a, torn),
+            DataError,
+            r"torn.*contains an unfinished run\. Run it again with: dynaviz run guess room",
+        ),
         ((torn, a), DataError, r"torn.*contains an unfinished run"),
         ((cut, a), DataError, r"cut\.rrd: is incomplete.*dynaviz info"),
         ((a, merged["two"]), DataError, r"two\.rrd: contains a comparison, not a run"),
@@ -163,7 +188,9 @@ def test_refusals(runs: dict[str, Path], merged: dict[str, Path], tmp_path: Path
 
 def test_runs_without_ground_truth_are_compared_by_what_they_removed(tmp_path: Path) -> None:
     blind = record(room(4, 300, labelled=False), tmp_path / "blind.rrd")
-    void = changed(tmp_path / "void.rrd", lambda scan: replace(scan, labels=np.full(len(scan), 255, np.uint8)))
+    void = changed(
+        tmp_path / "void.rrd", lambda scan: replace(scan, labels=np.full(len(scan), 255, np.uint8))
+    )
     for recording in (blind, void):
         comparison = dv.compare(recording, recording, out=tmp_path / "compare.rrd")
         assert (tmp_path / "compare.rrd").is_file()
@@ -197,20 +224,36 @@ def test_json(runs: dict[str, Path], tmp_path: Path) -> None:
     assert list(plain["sequence"]) == ["name", "digest", "frames", "points", "at_sensor"]
     assert plain["interval"]["block"] == 2
     assert list(plain["runs"][0]) == [
-        "letter", "name", "path", "sha256", "method", "title", "mode", "scoring", "online", "seed", "parameters",
+        "letter", "name", "path", "sha256", "method", "title", "mode", "scoring", "online", "seed",
+        "parameters",
         "scores", "runtime", "instrumented", "command",
     ]  # fmt: skip
     first = plain["pairs"][0]
     assert list(first) == [
-        "first", "second", "scores", "right", "by_range", "by_reason", "frames", "places", "places_note", "differ",
+        "first", "second", "scores", "right", "by_range", "by_reason", "frames", "places",
+        "places_note", "differ",
         "runtime", "removed",
     ]  # fmt: skip
     assert list(first["scores"]) == ["SA", "DA", "AA", "HA", "FP", "FN"]
     assert list(first["scores"]["FP"]) == ["first", "second", "delta", "interval"]
     assert list(first["right"]["static"]) == ["neither", "only_first", "only_second", "both"]
     assert list(first["by_range"][0]) == ["band", "static", "dynamic"]
-    assert list(first["by_reason"][0]) == ["truth", "right", "first_reason", "second_reason", "points"]
-    assert list(first["frames"][0]) == ["frame", "index", "gain", "gain_SA", "gain_DA", "first", "second"]
+    assert list(first["by_reason"][0]) == [
+        "truth",
+        "right",
+        "first_reason",
+        "second_reason",
+        "points",
+    ]
+    assert list(first["frames"][0]) == [
+        "frame",
+        "index",
+        "gain",
+        "gain_SA",
+        "gain_DA",
+        "first",
+        "second",
+    ]
     place = ["low", "high", "height", "frame", "gain", "gain_SA", "gain_DA", "first", "second"]
     assert list(first["places"][0]) == place
     assert list(first["places"][0]["first"]) == ["FP", "FN"]

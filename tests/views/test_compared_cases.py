@@ -14,8 +14,13 @@ from dynaviz.views.compare import compare_layout
 from dynaviz.views.read.reader import RunRecording, read
 
 
-def test_each_case_shows_where_only_one_run_is_wrong(runs: dict[str, Path], merged: dict[str, Path]) -> None:
-    recorded, recordings = read(merged["two"]), [RunRecording(path) for path in pair(runs, "errors")]
+def test_each_case_shows_where_only_one_run_is_wrong(
+    runs: dict[str, Path], merged: dict[str, Path]
+) -> None:
+    recorded, recordings = (
+        read(merged["two"]),
+        [RunRecording(path) for path in pair(runs, "errors")],
+    )
     drawn = [list(recording.drawn()) for recording in recordings]
     answers = [list(recording.answers()) for recording in recordings]
     boxes = dict(recorded.rows(compare_layout.CASE_BOX, paths.CASE))
@@ -25,7 +30,9 @@ def test_each_case_shows_where_only_one_run_is_wrong(runs: dict[str, Path], merg
     costs = []
     for number, row in texts.items():
         text = row["TextDocument:text"][0]
-        title = rf"#### {number} of {len(boxes)}: only (.) (removed|kept) .*, ([\d.]+) % of (SA|DA)\n"
+        title = (
+            rf"#### {number} of {len(boxes)}: only (.) (removed|kept) .*, ([\d.]+) % of (SA|DA)\n"
+        )
         letter, did, cost, _ = re.match(title, text).groups()
         frame = int(re.search(r"\*\*Worst frame\*\*: (\d+) of", text)[1])
         wrong = "AB".index(letter)
@@ -40,12 +47,17 @@ def test_each_case_shows_where_only_one_run_is_wrong(runs: dict[str, Path], merg
         costs.append(float(cost))
     assert costs == sorted(costs, reverse=True)
     gains = [
-        [row["Scalars:scalars"][0] for _, row in recorded.rows(f"{compare_layout.GAIN}/{side}", paths.CASE)]
+        [
+            row["Scalars:scalars"][0]
+            for _, row in recorded.rows(f"{compare_layout.GAIN}/{side}", paths.CASE)
+        ]
         for side in "ab"
     ]
     np.testing.assert_allclose(np.abs(gains).sum(0), costs, atol=0.005)
     for side in "ab":
-        assert [number for number, _ in recorded.rows(f"{side}/{paths.SCAN}", paths.CASE)] == list(boxes)
+        assert [number for number, _ in recorded.rows(f"{side}/{paths.SCAN}", paths.CASE)] == list(
+            boxes
+        )
     states = [path for path in recorded.entities() if f"/{compare_layout.CASE_STATES}/" in path]
     assert {path[0] for path in states} == {"a", "b"}
 

@@ -45,7 +45,14 @@ def out_of_bounds(chunk: bytes) -> bytes:
     store = b"\x0a" + varint(len(fields[1])) + bytes(fields[1])
     for at in range(0, len(table), 8):
         patched = table[:at] + struct.pack("<q", 1 << 50) + table[at + 8 :]
-        content = store + b"\x10\x01\x18" + varint(len(table)) + b"\x20\x01\x2a" + varint(len(table)) + patched
+        content = (
+            store
+            + b"\x10\x01\x18"
+            + varint(len(table))
+            + b"\x20\x01\x2a"
+            + varint(len(table))
+            + patched
+        )
         if "out of bounds" in (chunks._problem(content) or ""):
             return content
     raise AssertionError("the table has no buffers")
@@ -58,7 +65,9 @@ def varint(number: int) -> bytes:
 def damaged(whole: Path, out: Path, damage: Damage, frame: int = 1) -> Path:
     """The recording with a damaged chunk: the answers of a frame."""
     parts = messages(whole.read_bytes())
-    answers = [k for k, (kind, content) in enumerate(parts) if kind == 2 and b"/answers" in _table(content)]
+    answers = [
+        k for k, (kind, content) in enumerate(parts) if kind == 2 and b"/answers" in _table(content)
+    ]
     parts[answers[frame]] = 2, damage(parts[answers[frame]][1])
     out.write_bytes(recording_of(whole.read_bytes(), parts))
     return out
@@ -98,11 +107,15 @@ def test_every_other_chunk_is_kept_where_a_size_is_wrong(whole: Path, tmp_path: 
     """Without its size the next message is found by its content."""
     broken, content = tmp_path / "run.rrd", whole.read_bytes()
     parts = messages(content)
-    ordinary = next(k for k, (kind, part) in enumerate(parts) if kind == 2 and b"/answers" in _table(part))
+    ordinary = next(
+        k for k, (kind, part) in enumerate(parts) if kind == 2 and b"/answers" in _table(part)
+    )
     at = 12 + sum(16 + len(part) for _, part in parts[:ordinary])
     broken.write_bytes(content[: at + 8] + struct.pack("<Q", 1 << 40) + content[at + 16 :])
     after = at + 16 + len(parts[ordinary][1])
-    assert [(found.at, found.end, found.truncated) for found in chunks.damages(broken)] == [(at, after, False)]
+    assert [(found.at, found.end, found.truncated) for found in chunks.damages(broken)] == [
+        (at, after, False)
+    ]
     with pytest.raises(DataError, match=rf"byte {at}: contains a damaged chunk .*dynaviz info"):
         read(broken)
     found = salvage(broken, tmp_path / "saved.rrd")
@@ -112,8 +125,13 @@ def test_every_other_chunk_is_kept_where_a_size_is_wrong(whole: Path, tmp_path: 
 
 def test_properties_that_are_not_valid(tmp_path: Path) -> None:
     properties = RunRecording(record(room(2, 50), tmp_path / "run.rrd", "scores")).properties
-    original = {name: value.item() if isinstance(value, np.generic) else value for name, value in properties.items()}
-    for k, (name, value) in enumerate({"params_json": "{", "result_json": "[", "reasons_json": '[{"name": 1'}.items()):
+    original = {
+        name: value.item() if isinstance(value, np.generic) else value
+        for name, value in properties.items()
+    }
+    for k, (name, value) in enumerate(
+        {"params_json": "{", "result_json": "[", "reasons_json": '[{"name": 1'}.items()
+    ):
         path = tmp_path / f"{k}.rrd"
         with rr.RecordingStream("test", send_properties=False) as stream:
             stream.save(path)
@@ -122,9 +140,13 @@ def test_properties_that_are_not_valid(tmp_path: Path) -> None:
             read(path)
 
 
-def test_points_without_answers_are_not_explored(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_points_without_answers_are_not_explored(
+    whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(RunRecording, "answers", lambda self: iter(()))
-    with pytest.raises(DataError, match=r"frame 0: contains points without an answer.*dynaviz info"):
+    with pytest.raises(
+        DataError, match=r"frame 0: contains points without an answer.*dynaviz info"
+    ):
         ExploredRun(whole)
 
 
@@ -135,7 +157,9 @@ def test_runs_on_other_points_are_not_explored_together(whole: Path, tmp_path: P
 
 
 def test_a_chunk_that_only_rerun_cannot_read(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Arrow does not check the text of a table's metadata, which rerun reads when the chunk is used."""
+    """Arrow does not check the text of a table's metadata, which rerun reads when the chunk is
+    used.
+    """
 
     def rows_of(*_: object) -> None:
         raise RuntimeError("Failed to load chunks: Utf8Error")

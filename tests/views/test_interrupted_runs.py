@@ -33,7 +33,14 @@ from dynaviz.views.record.recorder import Recorder
 Command = Callable[..., tuple[int, str, str]]
 UNWRITTEN = 1  # frames that may be lost by a kill: the one that is written in the background
 HELPERS = Path(__file__).parents[1] / "helpers"
-FINAL = {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
+FINAL = {
+    "run.rrd",
+    "result.json",
+    "labels.npz",
+    "static_map.pcd",
+    "dynamic_points.pcd",
+    "config.toml",
+}
 
 
 def check_answers(recording: RunRecording, scans: list[Any]) -> None:
@@ -43,7 +50,9 @@ def check_answers(recording: RunRecording, scans: list[Any]) -> None:
         dynamic = (scan.points[:, 2] < 1.0) & (scan.points[:, 1] > 2.2)
         assert answers.frame == frame
         np.testing.assert_array_equal(answers.outcome, outcomes(scan.labels, dynamic))
-    assert [drawn.frame for drawn in recording.drawn()][:frame] == list(range(frame))  # the last may be half drawn
+    assert [drawn.frame for drawn in recording.drawn()][:frame] == list(
+        range(frame)
+    )  # the last may be half drawn
 
 
 @pytest.mark.slow
@@ -52,7 +61,9 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
     steps = [moments.randint(0, 3 * FRAMES) for _ in range(8)] + [
         moments.randint(2 * FRAMES, 3 * FRAMES) for _ in range(12)
     ]
-    orders = "".join(f"{tmp_path / str(i)} {n} {moments.uniform(0, 0.01)}\n" for i, n in enumerate(steps))
+    orders = "".join(
+        f"{tmp_path / str(i)} {n} {moments.uniform(0, 0.01)}\n" for i, n in enumerate(steps)
+    )
     environment = {**os.environ, "PYTHONPATH": str(HELPERS.parent)}
     done = subprocess.run(
         [sys.executable, HELPERS / "killed_runs.py"],
@@ -69,7 +80,9 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
         names = {path.name for path in folder.iterdir()}
         if "result.json" in names:  # the last file of a run
             assert names - {NAME} == FINAL  # killed before it removed its lock
-            assert Result.load(folder / "result.json").recording_sha256 == sha256(folder / "run.rrd")
+            assert Result.load(folder / "result.json").recording_sha256 == sha256(
+                folder / "run.rrd"
+            )
         if "run.rrd" in names:
             assert RunRecording(folder / "run.rrd").complete
             continue
@@ -172,24 +185,39 @@ main()
         pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.slow),
     ],
 )
-def test_a_signal_leaves_a_file_that_opens(tmp_path: Path, number: int, code: int, word: str) -> None:
-    script = INTERRUPTED.format(folders=[str(HELPERS.parent)], number=int(number), out=str(tmp_path / "out"))
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+def test_a_signal_leaves_a_file_that_opens(
+    tmp_path: Path, number: int, code: int, word: str
+) -> None:
+    script = INTERRUPTED.format(
+        folders=[str(HELPERS.parent)], number=int(number), out=str(tmp_path / "out")
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
     part = tmp_path / "out/.run.rrd.part"
     assert (done.returncode, done.stdout) == (code, ""), done.stderr
-    assert done.stderr.strip() == f"dynaviz: {word}. Salvage what was recorded with: dynaviz info {part}."
+    assert (
+        done.stderr.strip()
+        == f"dynaviz: {word}. Salvage what was recorded with: dynaviz info {part}."
+    )
     assert [path.name for path in part.parent.iterdir()] == [".run.rrd.part"]
     recording = RunRecording(part)
     assert len(list(recording.answers())) == 4
     assert not recording.complete
-    frames, _ = recording.curve("scores/wrong_points/false_positives")  # complete, though fewer than ten
+    frames, _ = recording.curve(
+        "scores/wrong_points/false_positives"
+    )  # complete, though fewer than ten
     assert frames.tolist() == [0, 1, 2, 3]
-    with pytest.warns(UserWarning, match=r"did not finish\. Saved 4 of 6 frames in .*run-repaired\.rrd"):
+    with pytest.warns(
+        UserWarning, match=r"did not finish\. Saved 4 of 6 frames in .*run-repaired\.rrd"
+    ):
         assert len(list(RunRecording(repaired(part)).answers())) == 4
 
 
 @pytest.mark.parametrize("missing", [2_000, 110_000, 150_000, 190_000])
-def test_on_a_full_disk_an_incomplete_recording_keeps_its_part_name(tmp_path: Path, missing: int) -> None:
+def test_on_a_full_disk_an_incomplete_recording_keeps_its_part_name(
+    tmp_path: Path, missing: int
+) -> None:
     sequence = room(6, 500)
     size = record(sequence, tmp_path / "whole.rrd", "scores").stat().st_size
     (tmp_path / "run.rrd").write_bytes(b"of an earlier run")
@@ -198,7 +226,9 @@ def test_on_a_full_disk_an_incomplete_recording_keeps_its_part_name(tmp_path: Pa
         files_end_at(size - missing),
     ):
         record(sequence, tmp_path / "run.rrd", "scores")
-    assert caught.value.__notes__ == [f"Salvage what was recorded with: dynaviz info {tmp_path / '.run.rrd.part'}"]
+    assert caught.value.__notes__ == [
+        f"Salvage what was recorded with: dynaviz info {tmp_path / '.run.rrd.part'}"
+    ]
     assert (tmp_path / "run.rrd").read_bytes() == b"of an earlier run"
     found = salvage(tmp_path / ".run.rrd.part", tmp_path / "saved.rrd")
     assert found.answered <= found.observed <= found.frames

@@ -30,9 +30,15 @@ def contains(drawn: np.ndarray, colour: colours.Colour) -> bool:
 
 def test_consecutive_range_images_share_a_tab() -> None:
     tabs = [[state.name for state in tab] for tab in keys.tabs(Guess.info)]
-    assert tabs == [[name] for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane", "ranges", "bins")]
+    assert tabs == [
+        [name]
+        for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane", "ranges", "bins")
+    ]
     images = [State(f"image_{k}", RangeImage, "an image") for k in range(5)]
-    tabs = [[state.name for state in tab] for tab in keys.tabs(dataclasses.replace(Guess.info, emits=tuple(images)))]
+    tabs = [
+        [state.name for state in tab]
+        for tab in keys.tabs(dataclasses.replace(Guess.info, emits=tuple(images)))
+    ]
     assert tabs == [["image_0", "image_1"], ["image_2", "image_3"], ["image_4"]]
 
 
@@ -46,7 +52,12 @@ def test_a_key_shows_the_colours_in_use() -> None:
     assert not contains(kinds, colours.CLASSES[1])
     assert contains(picture(State("void", Voxels, "void")), colours.STATE)
     assert (
-        len(picture(*[State(f"image_{k}", RangeImage, "", value_range=(0.0, 9.0)) for k in range(3)])) == 3 * keys.ROW
+        len(
+            picture(
+                *[State(f"image_{k}", RangeImage, "", value_range=(0.0, 9.0)) for k in range(3)]
+            )
+        )
+        == 3 * keys.ROW
     )
 
 
@@ -66,13 +77,19 @@ def test_rings_are_at_round_distances_and_the_arrow_points_where_the_sensor_move
     heading, nothing = keys.Heading(), np.zeros((1, 3), np.float32)
     assert heading.of(Scan(0, nothing, pose(0.0, 0.0, 0.0))) is None
     for _ in range(2):  # several grids of the same scan
-        np.testing.assert_allclose(heading.of(Scan(1, nothing, pose(0.0, 2.0, 0.0))), [0.0, 1.0], atol=1e-12)
-    np.testing.assert_allclose(heading.of(Scan(2, nothing, pose(0.0, 2.01, 0.0))), [0.0, 1.0], atol=1e-12)
+        np.testing.assert_allclose(
+            heading.of(Scan(1, nothing, pose(0.0, 2.0, 0.0))), [0.0, 1.0], atol=1e-12
+        )
+    np.testing.assert_allclose(
+        heading.of(Scan(2, nothing, pose(0.0, 2.01, 0.0))), [0.0, 1.0], atol=1e-12
+    )
 
 
 def test_range_images_are_high_enough_and_classes_have_names_on_hover() -> None:
     scan = Scan(0, np.zeros((1, 3), np.float32), pose(0.0, 0.0, 0.0))
-    image = states.draw(RangeImage(np.ones((20, 900), np.float32)), State("image", RangeImage, ""), scan, None)
+    image = states.draw(
+        RangeImage(np.ones((20, 900), np.float32)), State("image", RangeImage, ""), scan, None
+    )
     assert image.format.as_arrow_array().to_pylist()[0]["height"] == 200
     verdict = State("verdict", PolarGrid, "verdict", legend=("", "bad", "good"))
     drawn = states.draw(PolarGrid(np.full((4, 8), 2.0, np.float32), 10.0), verdict, scan, None)

@@ -32,9 +32,14 @@ def test_the_viewer_keeps_the_eyes_where_the_layout_states_them(runs: dict[str, 
         client.take_screenshot()
         seen = _eyes(client)
     assert {entity for entity, _ in stated.values()} >= {"/world/case/around", "/world/case/aim"}
-    for view, (_, distance) in stated.items():  # it adapts them to what it has loaded when it draws first
+    for view, (
+        _,
+        distance,
+    ) in stated.items():  # it adapts them to what it has loaded when it draws first
         assert seen[view][1] == pytest.approx(distance, rel=1e-4)
-    assert len({(entity, round(distance, 2)) for entity, distance in seen.values()}) == 2  # hidden tabs as well
+    assert (
+        len({(entity, round(distance, 2)) for entity, distance in seen.values()}) == 2
+    )  # hidden tabs as well
 
 
 def _eyes(client: ViewerClient) -> dict[str, tuple[str, float]]:
@@ -46,7 +51,10 @@ def _eyes(client: ViewerClient) -> dict[str, tuple[str, float]]:
         if "tracking_entity" in view.get("EyeControls3D", {})
     }
     return {
-        name: (str(eye["tracking_entity"]), math.dist(np.ravel(eye["position"]), np.ravel(eye["look_target"])))
+        name: (
+            str(eye["tracking_entity"]),
+            math.dist(np.ravel(eye["position"]), np.ravel(eye["look_target"])),
+        )
         for name, eye in eyes.items()
     }
 
@@ -56,14 +64,19 @@ def _eyes(client: ViewerClient) -> dict[str, tuple[str, float]]:
     [
         (
             "two",
-            {"A octomap resolution=0.15", "B octomap resolution=0.6", "whole run: green A better, purple B better",
-             "right in this frame: green A, purple B, white neither", "report", "SA [%]: A green, B purple"},
+            {"A octomap resolution=0.15", "B octomap resolution=0.6", "whole run: green A better, "
+            "purple B better",
+             "right in this frame: green A, purple B, white "
+             "neither", "report", "SA [%]: A green, B purple"},
         ),
-        ("many", {"A octomap resolution=0.15: whole run", "SA [%]: A green, B purple, C teal", "report"}),
+        ("many", {"A octomap resolution=0.15: whole "
+        "run", "SA [%]: A green, B purple, C teal", "report"}),
         ("scores", {"report", "FN: distance [m]", "FP: distance [m]"}),
     ],
 )  # fmt: skip
-def test_a_comparison_is_shown_without_problems(merged: dict[str, Path], name: str, views: set[str]) -> None:
+def test_a_comparison_is_shown_without_problems(
+    merged: dict[str, Path], name: str, views: set[str]
+) -> None:
     with headless((1600, 900)) as client:
         shown = problems(merged[name], client)
     assert {n: reports for n, reports in shown.items() if reports} == {}

@@ -17,8 +17,12 @@ def test_the_ranking_lists_tiles_with_wrong_points_only() -> None:
     good[Outcome.STATIC_KEPT] = bad[Outcome.STATIC_KEPT] = 90
     bad[Outcome.FALSE_POSITIVE] = 10
     outcomes = {(0, 0): good, (-1, 2): bad, (3, 0): good}
-    overview: Any = SimpleNamespace(_counts=SimpleNamespace(outcomes=outcomes), _path=Path("out/overview.rrd"))
-    result: Any = SimpleNamespace(has_truth=True, metrics={}, method="m", sequence=SimpleNamespace(name="s"))
+    overview: Any = SimpleNamespace(
+        _counts=SimpleNamespace(outcomes=outcomes), _path=Path("out/overview.rrd")
+    )
+    result: Any = SimpleNamespace(
+        has_truth=True, metrics={}, method="m", sequence=SimpleNamespace(name="s")
+    )
     text = Overview._text(overview, result, ranking(outcomes, ERRORS), ERRORS)
     assert "`-1_2`" in text
     assert "10.00" in text

@@ -17,7 +17,10 @@ from dynaviz.views.pipe import PipeWriter
 
 def test_every_byte_reaches_the_file(tmp_path: Path) -> None:
     content = np.random.default_rng(0).bytes(5_000_000)
-    with contextlib.closing(PipeWriter(tmp_path / "file")) as writer, open(writer.inlet, "wb", buffering=0) as inlet:
+    with (
+        contextlib.closing(PipeWriter(tmp_path / "file")) as writer,
+        open(writer.inlet, "wb", buffering=0) as inlet,
+    ):
         for start in range(0, len(content), 700_000):
             inlet.write(content[start : start + 700_000])
             writer.settle()
@@ -64,4 +67,6 @@ def test_without_the_modules_of_linux_a_run_is_recorded(tmp_path: Path) -> None:
     code = WITHOUT_PIPES.format(folders=[str(Path(__file__).parents[1])], out=str(tmp_path / "out"))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert {"run.rrd", "compare.rrd", "result.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"run.rrd", "compare.rrd", "result.json"} <= {
+        path.name for path in (tmp_path / "out").iterdir()
+    }

@@ -1,4 +1,7 @@
-"""Budgets of recordings: states are spread over the run and left out first; labels are always stored."""
+"""Budgets of recordings: states are spread over the run and left out first.
+
+Labels are always stored.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,8 @@ from dynaviz.views.record.quota import ANSWER, DRAWN, Quota, fixed, parse_bytes
 
 
 @pytest.mark.parametrize(
-    ("text", "size"), [("2GB", 2 * 10**9), ("1.5 tb", 15 * 10**11), ("500k", 500_000), ("7", 7), ("3MB", 3 * 10**6)]
+    ("text", "size"),
+    [("2GB", 2 * 10**9), ("1.5 tb", 15 * 10**11), ("500k", 500_000), ("7", 7), ("3MB", 3 * 10**6)],
 )
 def test_sizes(text: str, size: int) -> None:
     assert parse_bytes(text) == size
@@ -50,10 +54,16 @@ def test_a_small_budget_leaves_out_states_and_points_but_no_label(tmp_path: Path
     sequence = room(frames=4, rays=1500)
     sizes = {}
     for budget in (None, "1kB"):
-        with pytest.warns(UserWarning, match="more than the budget of") if budget else contextlib.nullcontext():
+        with (
+            pytest.warns(UserWarning, match="more than the budget of")
+            if budget
+            else contextlib.nullcontext()
+        ):
             dv.run("octomap", sequence, out=tmp_path, record_budget=budget, maps=False)
         recording = RunRecording(tmp_path / "run.rrd")
-        sizes[budget] = sum(1 for path in ("world/octomap/log_odds", "world/scan") for _ in recording.rows(path))
+        sizes[budget] = sum(
+            1 for path in ("world/octomap/log_odds", "world/scan") for _ in recording.rows(path)
+        )
         assert [len(each) for each in recording.answers()] == [len(scan) for scan in sequence.scans]
     assert sizes["1kB"] < sizes[None]
 

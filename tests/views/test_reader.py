@@ -51,8 +51,13 @@ def test_files_that_are_not_readable_recordings(tmp_path: Path, make: Any, probl
     assert str(caught.value).startswith(str(path))
 
 
-def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, run_command: Command) -> None:
-    path, whole = tmp_path / "x.rrd", record(little_room, tmp_path / "run.rrd", "scores").read_bytes()
+def test_recordings_of_other_versions(
+    little_room: InMemory, tmp_path: Path, run_command: Command
+) -> None:
+    path, whole = (
+        tmp_path / "x.rrd",
+        record(little_room, tmp_path / "run.rrd", "scores").read_bytes(),
+    )
     says = {
         b"RRF1" + whole[4:]: "before 0.23",  # of such a rerun; its files cannot be made here
         whole[:5] + b"\xfe" + whole[6:-100]: "rerun 0.254",
@@ -83,4 +88,6 @@ def test_the_part_of_a_killed_run_is_read(tmp_path: Path, run_command: Command) 
     for name in ("run.rrd", ".run.rrd.part"):
         code, _, err = run_command("info", tmp_path / name)
         assert (code, err.count("\n")) == (0, 1)
-        assert f"{tmp_path / '.run.rrd.part'}: is the recording of a run that did not finish." in err
+        assert (
+            f"{tmp_path / '.run.rrd.part'}: is the recording of a run that did not finish." in err
+        )

@@ -21,7 +21,9 @@ from dynaviz.views.record.recorder import Recorder
 def record(sequence: InMemory, path: Path, mode: str = "errors", *listeners: Listener) -> Path:
     """Record the test's method with the real metrics."""
     params = GuessParams()
-    metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "failures"))
+    metrics = tuple(
+        registry.load("metrics", name)(Guess.info) for name in ("confusion", "failures")
+    )
     with Recorder(path, mode) as recorder:
         execute(RunSpec(Guess(params), sequence, params, metrics), [recorder, *listeners], recorder)
     return path
@@ -56,7 +58,9 @@ def test_boxes_hold_the_wrong_points_of_their_frame(little_room, tmp_path):
     whole = recording.static(paths.CASES)
     assert len(whole["Boxes3D:centers"]) == len(cases)
     np.testing.assert_allclose(
-        whole["Boxes3D:centers"] + whole["Boxes3D:half_sizes"], [case.high for case in cases], atol=0.02
+        whole["Boxes3D:centers"] + whole["Boxes3D:half_sizes"],
+        [case.high for case in cases],
+        atol=0.02,
     )
 
 

@@ -15,7 +15,10 @@ def outcome_counts() -> report.OutcomeCounts:
     counted = report.OutcomeCounts()
     for frame, wrong in enumerate([0, 3, 9, 1, 9, 2, 5]):
         outcome = np.array([Outcome.FALSE_NEGATIVE] * wrong + [Outcome.STATIC_KEPT] * 4, np.uint8)
-        assert counted.add(frame, 100 + frame, outcome, np.ones(len(outcome), np.uint8)) == (wrong, 0)
+        assert counted.add(frame, 100 + frame, outcome, np.ones(len(outcome), np.uint8)) == (
+            wrong,
+            0,
+        )
     return counted
 
 

@@ -35,12 +35,19 @@ NUMBERS = {
     "answers", "report", "report/failures", "log",
     "scores/SA/so_far", "scores/SA/frame", "scores/DA/so_far", "reasons/band", paths.WORST,
     "scores/wrong_points/false_negatives", "scores/wrong_points/false_positives",
-    "error_distance/false_negative", "error_distance/false_negative/run", "error_distance/false_negative/p10",
+    "error_distance/false_negative", "error_distance/false_negative/run",
+    "error_distance/false_negative/p10",
 }  # fmt: skip
 STATES = {
-    *(f"world/guess/{name}" for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane")),
+    *(
+        f"world/guess/{name}"
+        for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane")
+    ),
     *(f"guess/{name}" for name in ("ranges", "bins", "bins/rings", "bins/travel", "count")),
-    *(f"guess/keys/{name}" for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane", "ranges", "bins")),
+    *(
+        f"guess/keys/{name}"
+        for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane", "ranges", "bins")
+    ),
 }
 
 
@@ -54,16 +61,21 @@ def expected(sequence: InMemory) -> list[Labelled]:
 
 
 @pytest.mark.parametrize(
-    ("mode", "entities"), [(MODES[0], WORLD | STATES), (MODES[1], WORLD | STATES), (MODES[2], set())]
+    ("mode", "entities"),
+    [(MODES[0], WORLD | STATES), (MODES[1], WORLD | STATES), (MODES[2], set())],
 )
-def test_every_entity_is_recorded(little_room: InMemory, tmp_path: Path, mode: str, entities: set[str]) -> None:
+def test_every_entity_is_recorded(
+    little_room: InMemory, tmp_path: Path, mode: str, entities: set[str]
+) -> None:
     found = set(RunRecording(record(little_room, tmp_path / "run.rrd", mode)).entities())
     assert found - {"", "world"} == NUMBERS | entities
 
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("online", [False, True])
-def test_all_labels_are_recorded(little_room: InMemory, tmp_path: Path, mode: str, online: bool) -> None:
+def test_all_labels_are_recorded(
+    little_room: InMemory, tmp_path: Path, mode: str, online: bool
+) -> None:
     recording = RunRecording(record(little_room, tmp_path / "run.rrd", mode, online=online))
     answers = list(recording.answers())
     assert [a.index for a in answers] == [10, 11, 12, 13, 14, 15]
@@ -83,7 +95,9 @@ def test_full_draws_every_point(little_room: InMemory, tmp_path: Path) -> None:
         assert drawn.stands_for.tolist() == [1] * len(truth.scan)
 
 
-def test_errors_draws_dynamic_points_and_downsamples_false_positives(little_room: InMemory, tmp_path: Path) -> None:
+def test_errors_draws_dynamic_points_and_downsamples_false_positives(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     recording = RunRecording(record(little_room, tmp_path / "run.rrd", "errors"))
     for drawn, truth in zip(recording.drawn(), expected(little_room), strict=True):
         np.testing.assert_array_equal(drawn.xyz, truth.scan.points[drawn.point])
@@ -96,17 +110,25 @@ def test_errors_draws_dynamic_points_and_downsamples_false_positives(little_room
                 assert drawn.stands_for[mine].sum() == all_of_it.sum()
         wrong = drawn.outcome == Outcome.FALSE_POSITIVE
         assert 0 < wrong.sum() < (truth.outcome == Outcome.FALSE_POSITIVE).sum()
-        moving = (drawn.outcome == Outcome.DYNAMIC_REMOVED) | (drawn.outcome == Outcome.FALSE_NEGATIVE)
+        moving = (drawn.outcome == Outcome.DYNAMIC_REMOVED) | (
+            drawn.outcome == Outcome.FALSE_NEGATIVE
+        )
         assert moving.sum() == truth.scan.labels.sum()  # type: ignore[union-attr]
 
 
 def test_the_map_contains_one_kept_point_per_voxel(little_room: InMemory, tmp_path: Path) -> None:
     recording = RunRecording(record(little_room, tmp_path / "run.rrd"))
-    kept = np.concatenate([e.scan.points[e.outcome == Outcome.STATIC_KEPT] for e in expected(little_room)])
+    kept = np.concatenate(
+        [e.scan.points[e.outcome == Outcome.STATIC_KEPT] for e in expected(little_room)]
+    )
     xyz = recording.static(paths.MAP)["Points3D:positions"]
-    middle = np.round(np.median(Extent.of(*little_room.scans).cells, axis=0) * CELL).astype(np.float32)
+    middle = np.round(np.median(Extent.of(*little_room.scans).cells, axis=0) * CELL).astype(
+        np.float32
+    )
     reasons = {
-        tuple(p.round(3)): r for e in expected(little_room) for p, r in zip(e.scan.points, e.reasons, strict=True)
+        tuple(p.round(3)): r
+        for e in expected(little_room)
+        for p, r in zip(e.scan.points, e.reasons, strict=True)
     }
     for path, outcome in (
         (paths.MAP, Outcome.STATIC_KEPT), (paths.MAP_WRONG, Outcome.FALSE_NEGATIVE),
@@ -121,11 +143,20 @@ def test_the_map_contains_one_kept_point_per_voxel(little_room: InMemory, tmp_pa
 
 
 def test_properties_describe_the_run(little_room: InMemory, tmp_path: Path) -> None:
-    recording = RunRecording(record(little_room, tmp_path / "run.rrd", "scores", seed=7, command="typed"))
+    recording = RunRecording(
+        record(little_room, tmp_path / "run.rrd", "scores", seed=7, command="typed")
+    )
     p, result = recording.properties, recording.result
     assert result is not None
     assert recording.complete
-    properties = {"method": "guess", "sequence": "room", "frames": 6, "mode": "scores", "seed": 7, "online": False}
+    properties = {
+        "method": "guess",
+        "sequence": "room",
+        "frames": 6,
+        "mode": "scores",
+        "seed": 7,
+        "online": False,
+    }
     assert {name: p[name] for name in properties} == properties
     assert p["digest"] == result.sequence.digest
     assert p["points"] == sum(len(s) for s in little_room.scans)
@@ -140,7 +171,9 @@ def test_curves_keep_order_and_gaps(little_room: InMemory, tmp_path: Path) -> No
     recording = RunRecording(record(little_room, tmp_path / "run.rrd", "scores"))
     frames, values = recording.curve("scores/wrong_points/false_positives")
     assert frames.tolist() == [0, 1, 2, 3, 4, 5]
-    assert values.tolist() == [(e.outcome == Outcome.FALSE_POSITIVE).sum() for e in expected(little_room)]
+    assert values.tolist() == [
+        (e.outcome == Outcome.FALSE_POSITIVE).sum() for e in expected(little_room)
+    ]
     assert np.isnan(recording.curve("scores/DA/so_far")[1]).all()
     assert len(recording.curve("scores/none")[0]) == 0
     worst, _ = recording.curve(paths.WORST)
@@ -179,10 +212,20 @@ def holey_scan(scan: Scan) -> Scan:
         lambda scan: scan.without_truth(),
         lambda scan: replace(scan, labels=np.zeros(len(scan), np.uint8)),
         lambda scan: replace(scan, labels=np.full(len(scan), 255, np.uint8)),
-        lambda scan: replace(scan, points=scan.points + np.float32(3e4), T_world_sensor=far_away(scan), origins=None),
+        lambda scan: replace(
+            scan, points=scan.points + np.float32(3e4), T_world_sensor=far_away(scan), origins=None
+        ),
         lambda scan: replace(scan, points=scan.points * np.float32([1, 1, 1e4])),
     ],
-    ids=["empty", "not finite", "no labels", "nothing moves", "unlabelled", "far from the origin", "stray points"],
+    ids=[
+        "empty",
+        "not finite",
+        "no labels",
+        "nothing moves",
+        "unlabelled",
+        "far from the origin",
+        "stray points",
+    ],
 )
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 def test_odd_scans(tmp_path: Path, mode: str, change: Callable[[Scan], Scan]) -> None:
@@ -203,7 +246,11 @@ def test_labels_do_not_depend_on_the_probe(little_room: InMemory, tmp_path: Path
     run = guess_run(little_room)
     with Recorder(tmp_path / "run.rrd") as recorder:
         recorded = execute(run, [recorder], recorder)
-    assert recorded.labels_sha256 == execute(run).labels_sha256 == execute(run, probe=MemoryProbe()).labels_sha256
+    assert (
+        recorded.labels_sha256
+        == execute(run).labels_sha256
+        == execute(run, probe=MemoryProbe()).labels_sha256
+    )
 
 
 def test_the_file_appears_when_complete(little_room: InMemory, tmp_path: Path) -> None:
@@ -229,12 +276,19 @@ def test_unknown_modes_and_unwritable_paths(little_room: InMemory, tmp_path: Pat
     with pytest.raises(UsageError, match="choose from full, errors, scores"):
         Recorder(tmp_path / "run.rrd", "all")  # type: ignore[arg-type]
     (tmp_path / "file").touch()
-    with pytest.raises(DataError, match="cannot be written"), Recorder(tmp_path / "file/run.rrd") as recorder:
+    with (
+        pytest.raises(DataError, match="cannot be written"),
+        Recorder(tmp_path / "file/run.rrd") as recorder,
+    ):
         execute(guess_run(little_room), [recorder], recorder)
 
 
-@pytest.mark.parametrize(("mode", "wanted"), [("errors", [True, False]), ("scores", [False, False])])
-def test_a_recorder_wants_declared_states(little_room: InMemory, tmp_path: Path, mode: Any, wanted: list[bool]) -> None:
+@pytest.mark.parametrize(
+    ("mode", "wanted"), [("errors", [True, False]), ("scores", [False, False])]
+)
+def test_a_recorder_wants_declared_states(
+    little_room: InMemory, tmp_path: Path, mode: Any, wanted: list[bool]
+) -> None:
     with Recorder(tmp_path / "run.rrd", mode) as recorder:
 
         class Asking(Listener):

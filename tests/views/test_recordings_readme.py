@@ -16,7 +16,10 @@ PAGE = (Path(__file__).resolve().parents[2] / "recordings/README.md").read_text(
 
 
 def test_the_example_works(
-    little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    little_room: InMemory,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     record(little_room, tmp_path / "run.rrd")
     monkeypatch.chdir(tmp_path)
@@ -26,10 +29,24 @@ def test_the_example_works(
     assert "{'outside'}" in capsys.readouterr().out
 
 
-def test_every_constant_path_and_every_property_is_described(little_room: InMemory, tmp_path: Path) -> None:
+def test_every_constant_path_and_every_property_is_described(
+    little_room: InMemory, tmp_path: Path
+) -> None:
     named = set(re.findall(r"`([^`]+)`", PAGE))
-    for name in ("SCAN", "MAP", "MAP_WRONG", "REMOVED", "REMOVED_WRONG", "TRAJECTORY", "SENSOR", "RINGS"):
+    for name in (
+        "SCAN",
+        "MAP",
+        "MAP_WRONG",
+        "REMOVED",
+        "REMOVED_WRONG",
+        "TRAJECTORY",
+        "SENSOR",
+        "RINGS",
+    ):
         assert getattr(paths, name) in named
     for name in ("FAILURES", "CASES", "ANSWERS", "WORST", "REPORT", "FAILURE_LIST", "LOG"):
         assert getattr(paths, name) in named
-    assert set(RunRecording(record(little_room, tmp_path / "run.rrd", command="typed")).properties) <= named
+    assert (
+        set(RunRecording(record(little_room, tmp_path / "run.rrd", command="typed")).properties)
+        <= named
+    )

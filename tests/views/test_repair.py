@@ -1,4 +1,7 @@
-"""Repairing recordings that are complete, truncated anywhere, or not recordings; and the command."""
+"""Repairing recordings that are complete, truncated anywhere, or not recordings.
+
+And the command.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,9 @@ def test_a_complete_recording_is_not_changed(whole: Path) -> None:
     assert whole.stat().st_mtime_ns == before
 
 
-def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_path: Path, run_command: Command) -> None:
+def test_the_layout_and_every_frame_before_the_cut_are_kept(
+    whole: Path, tmp_path: Path, run_command: Command
+) -> None:
     answers = list(RunRecording(whole).answers())
     size = whole.stat().st_size
     codes, kept = set(), []
@@ -63,7 +68,9 @@ def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_pat
         assert "octomap" in out or "method" in out
         assert "repaired before" in run_command("info", part)[2]
         layouts = len(RrdReader(salvaged.path).blueprints())
-        assert layouts == 2 or (layouts == 1 and not salvaged.complete)  # the second is written at the end
+        assert layouts == 2 or (
+            layouts == 1 and not salvaged.complete
+        )  # the second is written at the end
         for a, b in zip(mine, answers, strict=False):
             np.testing.assert_array_equal(a.outcome, b.outcome)
             np.testing.assert_array_equal(a.reasons, b.reasons)
@@ -74,7 +81,9 @@ def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_pat
 
 @settings(max_examples=15, deadline=None)
 @given(share=st.floats(0, 1))
-def test_a_recording_truncated_anywhere(whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float) -> None:
+def test_a_recording_truncated_anywhere(
+    whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float
+) -> None:
     folder = tmp_path_factory.mktemp("cut")
     broken = cut(whole, folder, int(share * whole.stat().st_size))
     before = broken.read_bytes()
@@ -110,5 +119,7 @@ def test_names_of_parts() -> None:
 
 def test_a_recording_of_scores_is_salvaged(little_room: InMemory, tmp_path: Path) -> None:
     whole = record(little_room, tmp_path / "run.rrd", "scores")
-    found = salvage(cut(whole, tmp_path, whole.stat().st_size - 4000, "cut.rrd"), tmp_path / "saved.rrd")
+    found = salvage(
+        cut(whole, tmp_path, whole.stat().st_size - 4000, "cut.rrd"), tmp_path / "saved.rrd"
+    )
     assert found.answered == len(list(RunRecording(tmp_path / "saved.rrd").answers())) == 6

@@ -36,6 +36,8 @@ def test_the_costliest_boxes_of_a_frame_have_labels_that_do_not_overlap() -> Non
     frames = np.array([3, 3, 3, 7, 7, 7, 7, 7])
     cases = np.array([5, 0, 1, 4, 2, 3, 0, 1])
     along = np.array([0.0, 0.5, 2.0, 0.0, 1.0, 2.0, 3.0, 4.0]) * APART
-    labelled = with_labels(frames, cases, np.stack([along, 0 * along, 0 * along], 1).astype(np.float32))
+    labelled = with_labels(
+        frames, cases, np.stack([along, 0 * along, 0 * along], 1).astype(np.float32)
+    )
     assert labelled.tolist() == [False, True, True, False, True, False, True, True]
     assert labelled[3:].sum() == LABELS

@@ -20,14 +20,23 @@ def test_a_polar_grid_from_above() -> None:
     picture = states.from_above(quarters)
     middle, inner, outer = states.PICTURE // 2, states.PICTURE // 8, 3 * states.PICTURE // 8
     up, left = -1, -1
-    for sector, (vertical, horizontal) in enumerate([(up, -left), (up, left), (-up, left), (-up, -left)]):
-        assert picture[middle + vertical * inner, middle + horizontal * inner] == quarters[0, sector]
-        assert picture[middle + vertical * outer // 2 - vertical, middle + horizontal * outer] == quarters[1, sector]
+    for sector, (vertical, horizontal) in enumerate(
+        [(up, -left), (up, left), (-up, left), (-up, -left)]
+    ):
+        assert (
+            picture[middle + vertical * inner, middle + horizontal * inner] == quarters[0, sector]
+        )
+        assert (
+            picture[middle + vertical * outer // 2 - vertical, middle + horizontal * outer]
+            == quarters[1, sector]
+        )
     assert np.isnan(picture[0, 0])
 
 
 @settings(deadline=None)
-@given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda n: np.linalg.norm(n) > 0.1), st.floats(-5, 5))
+@given(
+    st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda n: np.linalg.norm(n) > 0.1), st.floats(-5, 5)
+)
 def test_a_disc_lies_in_its_plane(normal: tuple[float, float, float], offset: float) -> None:
     plane = Plane(np.array(normal), offset, np.array([1.0, 2.0, 3.0]), 4.0)
     mesh = states.draw(plane, State("plane", Plane, "a plane"), room(1, 10)[0], None)

@@ -85,7 +85,9 @@ def test_a_busy_viewer_is_asked_again() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the viewer is replaced by a shell script")
-def test_a_viewer_that_ends_at_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viewer_that_ends_at_start_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     broken = tmp_path / "rerun"
     broken.write_text("#!/bin/sh\necho no graphics >&2\nexit 3\n")
     broken.chmod(0o755)
@@ -105,6 +107,8 @@ def test_the_port_of_the_page(tmp_path: Path) -> None:
         taken.bind((viewer.HOME, 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(UsageError, match=rf"--port {port}: port {port} cannot be used .* Give another one"):
+        with pytest.raises(
+            UsageError, match=rf"--port {port}: port {port} cannot be used .* Give another one"
+        ):
             view([run], web=True, port=port)
     assert tunnel(9090, 9091).startswith("ssh -L 9090:127.0.0.1:9090 -L 9091:127.0.0.1:9091 ")

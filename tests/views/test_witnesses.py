@@ -29,7 +29,8 @@ def test_touched_boxes_are_those_that_samples_along_the_rays_meet(one_origin: bo
     rays, boxes, ends = kernels.witnesses.touched(points, origins, starts, low, high)
     hit, crossed = np.zeros((2, len(low), len(points)), np.bool_)
     hit[boxes[ends], rays[ends]] = crossed[boxes[~ends], rays[~ends]] = True
-    along = origins[:, None] + (points[:, None] - origins[:, None]) * STEPS[:, None]  # (N, samples, 3)
+    # (N, samples, 3)
+    along = origins[:, None] + (points[:, None] - origins[:, None]) * STEPS[:, None]
     for box in range(len(low)):
         inside = ((along >= low[box]) & (along <= high[box])).all(2)
         mine = inside.sum(1)
@@ -52,7 +53,9 @@ def test_rays_without_an_end_touch_nothing() -> None:
 def entry(frame: int, hits: int, crossed: int, angle: float | None = None) -> LedgerEntry:
     """A scan seen from the origin, with the point 10 m away."""
     behind = 5.0 if crossed else None
-    return LedgerEntry(frame, frame, (0.0, 0.0, 0.0), 10.0, angle, hits, crossed, behind, {}, {}, (), None)
+    return LedgerEntry(
+        frame, frame, (0.0, 0.0, 0.0), 10.0, angle, hits, crossed, behind, {}, {}, (), None
+    )
 
 
 def ledger(*entries: LedgerEntry) -> PointLedger:
@@ -61,7 +64,9 @@ def ledger(*entries: LedgerEntry) -> PointLedger:
 
 
 def test_hits_end_at_the_point_and_crossings_beyond_it() -> None:
-    found = rays_of([ledger(entry(0, 3, 0), entry(1, 0, 2, 45.0), entry(2, 0, 1, 9.0), entry(3, 1, 1))])
+    found = rays_of(
+        [ledger(entry(0, 3, 0), entry(1, 0, 2, 45.0), entry(2, 0, 1, 9.0), entry(3, 1, 1))]
+    )
     assert found.frames.tolist() == [0, 1, 2, 3, 3]
     assert found.kinds.tolist() == [HIT, CROSSED, GRAZED, HIT, CROSSED]
     np.testing.assert_array_equal(found.strips[:, 0], np.zeros((5, 3)))
@@ -69,7 +74,9 @@ def test_hits_end_at_the_point_and_crossings_beyond_it() -> None:
 
 
 def test_drawn_rays_are_spread_over_scans() -> None:
-    many = [ledger(*(entry(frame, frame % 2, 1 - frame % 2) for frame in range(30))) for _ in range(8)]
+    many = [
+        ledger(*(entry(frame, frame % 2, 1 - frame % 2) for frame in range(30))) for _ in range(8)
+    ]
     found = rays_of(many, 40)
     assert len(found.strips) == 40
     assert (found.kinds == HIT).sum() == 20

@@ -24,7 +24,9 @@ Mount = Annotated[tuple[Finite, ...], Meta(min_length=6, max_length=6)]
 
 @dataclass(frozen=True)
 class Sensor:
-    """Specification of a sensor. Every number is optional (None), because a folder of scans may come from any sensor.
+    """Specification of a sensor.
+
+    Every number is optional (None), because a folder of scans may come from any sensor.
 
     Attributes:
         name: name of the file without ``.toml``; ``unknown`` for an unknown sensor.
@@ -39,9 +41,10 @@ class Sensor:
         range_noise: standard deviation of the range, metres.
         rate: sweeps per second.
         points_per_sweep: for sensors without rings.
-        mounts: (x, y, z, roll, pitch, yaw) in metres and degrees of each lidar in the sensor frame (T_sensor_lidar),
-            if several were merged into one scan.
-        carrier: cubes of 0.2 m in the sensor frame, by their indices, that are filled by what carries the sensor.
+        mounts: (x, y, z, roll, pitch, yaw) in metres and degrees of each lidar in the sensor frame
+            (T_sensor_lidar), if several were merged into one scan.
+        carrier: cubes of 0.2 m in the sensor frame, by their indices, that are filled by what
+            carries the sensor.
     """
 
     name: str = "unknown"
@@ -78,7 +81,9 @@ def load_sensor(name: str) -> Sensor:
     if name.endswith(".toml"):
         return _read(Path(name))
     if name not in sensor_names():
-        raise UsageError(f"unknown sensor '{name}'. Available: {', '.join(sensor_names())}; or give a TOML file")
+        raise UsageError(
+            f"unknown sensor '{name}'. Available: {', '.join(sensor_names())}; or give a TOML file"
+        )
     with (resources.files(__package__) / f"{name}.toml").open("rb") as file:
         return _sensor(name, tomllib.load(file))
 
@@ -86,7 +91,10 @@ def load_sensor(name: str) -> Sensor:
 def _read(path: Path) -> Sensor:
     """A sensor from a file of the user."""
     known = [each.name for each in dataclasses.fields(Sensor) if each.name != "name"]
-    hint = f"Write lines such as rings = 32, elevation = [-25.0, 15.0] or height = 1.8. Known: {', '.join(known)}"
+    hint = (
+        "Write lines such as rings = 32, elevation = [-25.0, 15.0] or height = 1.8. Known: "
+        f"{', '.join(known)}"
+    )
     facts = read_toml(path, hint)
     for key in facts:
         if key not in known:
@@ -97,10 +105,15 @@ def _read(path: Path) -> Sensor:
         raise DataError(path, f"is not a sensor: {error}", hint=hint) from None
     for name, span in (("elevation", sensor.elevation), ("azimuth", sensor.azimuth)):
         if span and not span[0] < span[1]:
-            raise DataError(path, f"invalid {name} = {list(span)}: give ascending degrees", hint=hint)
+            raise DataError(
+                path, f"invalid {name} = {list(span)}: give ascending degrees", hint=hint
+            )
     return sensor
 
 
 def _sensor(name: str, facts: dict[str, Any]) -> Sensor:
-    """A sensor from the content of its file; raises msgspec.ValidationError for a wrong type or sign."""
+    """A sensor from the content of its file.
+
+    Raises msgspec.ValidationError for a wrong type or sign.
+    """
     return msgspec.convert({**facts, "name": name}, Sensor)

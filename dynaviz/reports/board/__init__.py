@@ -1,1 +1,4 @@
-"""A leaderboard that anyone can recompute: entries with digests, scored under every protocol from the stored labels."""
+"""A leaderboard that anyone can recompute.
+
+Entries with digests, scored under every protocol from the stored labels.
+"""

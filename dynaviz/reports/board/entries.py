@@ -56,7 +56,11 @@ class Entry(Struct, frozen=True):
         """An entry without scores."""
         return cls(
             path=Path(os.path.relpath(run.folder, folder)).as_posix(),
-            **{field: getattr(result, field) for field in cls.__struct_fields__ if hasattr(result, field)},
+            **{
+                field: getattr(result, field)
+                for field in cls.__struct_fields__
+                if hasattr(result, field)
+            },
         )
 
     @property

@@ -1,4 +1,6 @@
-"""Write a board: the static page ``index.html``, and ``board.json`` with the digests and scores of every entry."""
+"""Write a board: the static page ``index.html``, and ``board.json`` with the digests and scores of
+every entry.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +30,28 @@ PAGE = "index.html"
 
 @dataclass(frozen=True)
 class Written:
-    """A written board: its page, its content, and how many entries were scored now instead of taken over."""
+    """A written board: its page, its content, and how many entries were scored now instead of taken
+    over.
+    """
 
     page: Path
     board: BoardFile
     rescored: int
 
 
-def write_board(folder: Path, out: Path, sequences: Iterable[Source] = (), progress: Progress = silent) -> Written:
+def write_board(
+    folder: Path, out: Path, sequences: Iterable[Source] = (), progress: Progress = silent
+) -> Written:
     """Write the board of all results in a folder.
 
-    Scores of an earlier board in the same place are taken over if the digests of labels and sequence agree, and the
-    version of dynaviz and the protocols are the same.
+    Scores of an earlier board in the same place are taken over if the digests of labels and
+    sequence agree, and the version of dynaviz and the protocols are the same.
 
     Args:
         folder: contains the runs.
         out: folder of the board.
-        sequences: those of some of the runs, open or as paths, by their names; all others are opened as their run did.
+        sequences: those of some of the runs, open or as paths, by their names; all others are
+            opened as their run did.
         progress: called with a phase, the number of steps done, and their total.
 
     Raises:
@@ -85,15 +92,21 @@ def scored(entry: Entry, run: StudyRun, result: Result, given: Mapping[str, Sequ
     opened = open_run(result)
     sequence = given.get(result.sequence.name) or _opened(opened)
     if sequence is None:
-        return msgspec.structs.replace(entry, remark="the sequence was not found; give it with --sequence")
+        return msgspec.structs.replace(
+            entry, remark="the sequence was not found; give it with --sequence"
+        )
     try:
         found = rescore(opened, sequence)
     except DataError as error:
         return msgspec.structs.replace(entry, remark=str(error))
     if found.sequence_digest != result.sequence.digest:
-        return msgspec.structs.replace(entry, remark=f"the sequence {sequence.name} differs from that of the run")
+        return msgspec.structs.replace(
+            entry, remark=f"the sequence {sequence.name} differs from that of the run"
+        )
     if found.labels_sha256 != result.labels_sha256:
-        return msgspec.structs.replace(entry, remark="labels.npz differs from the labels that were scored")
+        return msgspec.structs.replace(
+            entry, remark="labels.npz differs from the labels that were scored"
+        )
     return msgspec.structs.replace(entry, protocols=found.protocols)
 
 

@@ -17,7 +17,9 @@ Tile = tuple[int, int]
 """Column and row: tile (i, j) spans [i, i + 1) * size in x and [j, j + 1) * size in y."""
 _HALF = 1 << 30  # packs two indices into one int64
 _NEAR = 1.0  # metres: more than any rounding of coordinates
-GRAIN = 64.0  # metres: local origins are multiples of this, which float32 coordinates represent exactly
+GRAIN = (
+    64.0  # metres: local origins are multiples of this, which float32 coordinates represent exactly
+)
 
 
 @dataclass(frozen=True)
@@ -27,8 +29,12 @@ class TileGrid:
     size: float
 
     def owners(self, scan: Scan) -> I64:
-        """(N,) int64: the packed tile of each point; points that are not finite belong to the sensor's tile."""
-        x, y = scan.points[:, 0].astype(np.float64), scan.points[:, 1].astype(np.float64)
+        """(N,) int64: the packed tile of each point.
+
+        Points that are not finite belong to the sensor's tile.
+        """
+        x = scan.points[:, 0].astype(np.float64)
+        y = scan.points[:, 1].astype(np.float64)
         if not np.isfinite(scan.points).all():
             lost = ~np.isfinite(scan.points).all(1)
             x[lost], y[lost] = scan.position[:2]
@@ -37,25 +43,36 @@ class TileGrid:
         return packed
 
     def counted(self, scan: Scan) -> tuple[I64, I64, I64]:
-        """The tiles of a scan, (T,) packed and in order, the place in these of each point, (N,), and points of each."""
-        owners = self.owners(scan)  # runs of equal tiles are long, so these are sorted instead of points
-        starts = np.flatnonzero(np.append(len(owners) > 0, owners[1:] != owners[:-1])[: len(owners)])
+        """The tiles of a scan, (T,) packed and in order, the place in these of each point, (N,),
+        and points of each.
+        """
+        # runs of equal tiles are long, so these are sorted instead of points
+        owners = self.owners(scan)
+        starts = np.flatnonzero(
+            np.append(len(owners) > 0, owners[1:] != owners[:-1])[: len(owners)]
+        )
         tiles, of = np.unique(owners[starts], return_inverse=True)
         lengths = np.diff(np.append(starts, len(owners)))
         counts = np.bincount(of, lengths, len(tiles)).astype(np.int64)
         return tiles, np.repeat(of, lengths), counts
 
     def rows(self, scan: Scan, tile: Tile, origin: F64) -> Intp:
-        """(K,) the points that belong to a tile, of a scan to whose coordinates ``origin``, (3,) metres, is added."""
+        """(K,) the points that belong to a tile, of a scan to whose coordinates ``origin``, (3,)
+        metres, is added.
+        """
         low, high = self.bounds(tile) - origin[:2]
         near = np.ones(len(scan), np.bool_)
-        for axis, (first, last) in enumerate(zip((low - _NEAR).tolist(), (high + _NEAR).tolist(), strict=True)):
+        for axis, (first, last) in enumerate(
+            zip((low - _NEAR).tolist(), (high + _NEAR).tolist(), strict=True)
+        ):
             near &= (scan.points[:, axis] >= first) & (scan.points[:, axis] <= last)
         if not np.isfinite(scan.points).all():
             near |= ~np.isfinite(scan.points).all(1)
         rows = np.flatnonzero(near)
         chosen = scan.chosen(rows)
-        own: Intp = rows[self.owners(chosen.moved(origin) if origin.any() else chosen) == packed(tile)]
+        own: Intp = rows[
+            self.owners(chosen.moved(origin) if origin.any() else chosen) == packed(tile)
+        ]
         return own
 
     def bounds(self, tile: Tile) -> F64:
@@ -63,14 +80,17 @@ class TileGrid:
         return np.array([tile, np.add(tile, 1)], np.float64) * self.size
 
     def local_origin(self, tile: Tile, near: float) -> F64:
-        """(3,) float64, metres: where a tile's run has its origin; 0 along axes on which it is near the world's.
+        """(3,) float64, metres: where a tile's run has its origin.
 
-        Far from the world's origin, voxel keys end. Moving points there and back changes no bit of them.
+        0 along axes on which it is near the world's.
+
+        Far from the world's origin, voxel keys end. Moving points there and back changes no bit of
+        them.
 
         Args:
             tile: the tile.
-            near: metres, at least twice the size: within this distance, coordinates stay as they are, so that the
-                labels are those of a run without tiles.
+            near: metres, at least twice the size: within this distance, coordinates stay as they
+                are, so that the labels are those of a run without tiles.
         """
         corners = self.bounds(tile)
         far = np.abs(corners).max(0) > near
@@ -98,14 +118,17 @@ class TileCounts(Listener):
     """
 
     def __init__(self, size: float) -> None:
-        self.size, self._grid = size, TileGrid(size)
+        self.size = size
+        self._grid = TileGrid(size)
         self.outcomes: dict[Tile, I64] = {}
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Count the points of a scan."""
         tiles, of, _ = self._grid.counted(labelled.scan)
         kinds = len(Outcome)
-        counts = np.bincount(of * kinds + labelled.outcome, minlength=len(tiles) * kinds).reshape(-1, kinds)
+        counts = np.bincount(of * kinds + labelled.outcome, minlength=len(tiles) * kinds).reshape(
+            -1, kinds
+        )
         for tile, count in zip(map(unpacked, tiles.tolist()), counts, strict=True):
             self.outcomes[tile] = self.outcomes.get(tile, 0) + count
 

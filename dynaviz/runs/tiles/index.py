@@ -1,4 +1,7 @@
-"""The index of a sequence: which frames see which tiles. One pass makes it; it is kept in the folder of the run."""
+"""The index of a sequence: which frames see which tiles. One pass makes it.
+
+It is kept in the folder of the run.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,17 @@ from dynaviz.sources.pose_noise import PoseNoiseMeter
 from dynaviz.sources.summary import ScanDigest, SequenceSummary
 
 SECTORS = 64  # of azimuth around the sensor, each with the range of its farthest point
-_ARRAYS = ("numbers", "points", "positions", "farthest", "frame_of", "tile_of", "count_of", "low", "high")
+_ARRAYS = (
+    "numbers",
+    "points",
+    "positions",
+    "farthest",
+    "frame_of",
+    "tile_of",
+    "count_of",
+    "low",
+    "high",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +48,11 @@ class SequenceIndex:
         digest: of the whole content, as in ``SequenceSummary``.
         numbers, points: (F,) int64: number (``Scan.index``) and points of each frame.
         positions: (F, 3) float64, metres, world frame: of the sensor.
-        farthest: (F, SECTORS) float32, metres: horizontal range of the farthest point in each sector of azimuth, and
-            the largest distance of a ray's origin from the sensor's position.
-        frame_of, tile_of, count_of: (K,) int64: frame (position in the sequence), packed tile, and number of the
-            frame's points in it; by frame.
+        farthest: (F, SECTORS) float32, metres: horizontal range of the farthest point in each
+            sector of azimuth, and the largest distance of a ray's origin from the sensor's
+            position.
+        frame_of, tile_of, count_of: (K,) int64: frame (position in the sequence), packed tile, and
+            number of the frame's points in it; by frame.
         low, high: (3,) float64, metres, world frame: bounds of all finite points and ray origins.
         pose_noise: as in ``SequenceSummary``.
     """
@@ -58,7 +72,9 @@ class SequenceIndex:
     pose_noise: PoseNoise | None = None
 
     @classmethod
-    def of(cls, sequence: Sequence, size: float, progress: Callable[[int], None] = lambda done: None) -> SequenceIndex:
+    def of(
+        cls, sequence: Sequence, size: float, progress: Callable[[int], None] = lambda done: None
+    ) -> SequenceIndex:
         """Read a sequence once, frame by frame.
 
         Args:
@@ -66,7 +82,10 @@ class SequenceIndex:
             size: edge of a tile, metres.
             progress: called with the number of frames done.
         """
-        grid, digest, rows, meter = TileGrid(size), ScanDigest(), _Rows(), PoseNoiseMeter(len(sequence))
+        grid = TileGrid(size)
+        digest = ScanDigest()
+        rows = _Rows()
+        meter = PoseNoiseMeter(len(sequence))
         for done, scan in enumerate(stream(sequence), 1):
             digest.add(scan)
             meter.add(done - 1, scan)
@@ -82,9 +101,13 @@ class SequenceIndex:
 
     @property
     def summary(self) -> SequenceSummary:
-        """The summary of the sequence; its cells are those of the sensor's path only, to bound their number."""
+        """The summary of the sequence.
+
+        Its cells are those of the sensor's path only, to bound their number.
+        """
         cells = np.unique(np.floor(self.positions / CELL).astype(np.int32), axis=0)
-        extent, points = Extent(self.low, self.high, cells), int(self.points.sum())
+        extent = Extent(self.low, self.high, cells)
+        points = int(self.points.sum())
         return SequenceSummary(extent, len(self.points), points, self.digest, self.pose_noise)
 
     @property
@@ -100,22 +123,36 @@ class SequenceIndex:
         return int(np.bincount(self.frame_of).max(initial=0))
 
     def frames_reaching(self, tile: Tile, margin: float) -> I64:
-        """(K,) int64: the frames whose rays may cross a tile or end within ``margin`` metres of it."""
+        """(K,) int64: the frames whose rays may cross a tile or end within ``margin``
+        metres of it.
+        """
         low, high = TileGrid(self.size).bounds(tile) + np.array([[-margin], [margin]])
-        offset = np.maximum(np.maximum(low - self.positions[:, :2], self.positions[:, :2] - high), 0)
+        offset = np.maximum(
+            np.maximum(low - self.positions[:, :2], self.positions[:, :2] - high), 0
+        )
         distance = np.hypot(*offset.T)
         near = np.flatnonzero(distance <= self.farthest.max(1))
         corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
-        return near[[distance[f] <= self._towards(f, corners, bool(distance[f] == 0)) for f in near.tolist()]]
+        return near[
+            [
+                distance[f] <= self._towards(f, corners, bool(distance[f] == 0))
+                for f in near.tolist()
+            ]
+        ]
 
     def _towards(self, frame: int, corners: F64, inside: bool) -> float:
-        """Horizontal range of the farthest point of a frame in the direction of corners (4, 2); infinite if inside."""
+        """Horizontal range of the farthest point of a frame in the direction of corners (4, 2).
+
+        Infinite if inside.
+        """
         if inside:
             return np.inf
         seen = corners - self.positions[frame, :2]
         centre = np.arctan2(*seen.mean(0)[::-1])
         around = (np.arctan2(seen[:, 1], seen[:, 0]) - centre + np.pi) % (2 * np.pi) - np.pi
-        first, last = np.floor((centre + np.array([around.min(), around.max()])) * SECTORS / (2 * np.pi)).astype(int)
+        first, last = np.floor(
+            (centre + np.array([around.min(), around.max()])) * SECTORS / (2 * np.pi)
+        ).astype(int)
         sectors = np.arange(first - 1, last + 2) % SECTORS
         return float(self.farthest[frame, sectors].max())
 
@@ -123,7 +160,12 @@ class SequenceIndex:
         """Write the index, whole or not at all."""
         buffer = io.BytesIO()
         noise = msgspec.json.encode(self.pose_noise).decode()
-        facts = {"size": self.size, "fingerprint": self.fingerprint, "digest": self.digest, "pose_noise": noise}
+        facts = {
+            "size": self.size,
+            "fingerprint": self.fingerprint,
+            "digest": self.digest,
+            "pose_noise": noise,
+        }
         np.savez_compressed(buffer, **facts, **{name: getattr(self, name) for name in _ARRAYS})  # type: ignore[arg-type]
         write_atomic(path, buffer.getvalue())
 
@@ -140,8 +182,12 @@ class SequenceIndex:
             return cls(*facts, **{name: z[name] for name in _ARRAYS}, pose_noise=noise)
 
 
-def indexed(path: Path, sequence: Sequence, size: float, progress: Callable[[int], None]) -> SequenceIndex:
-    """The index in a file if it is that of the sequence, else a new one, which is then stored there."""
+def indexed(
+    path: Path, sequence: Sequence, size: float, progress: Callable[[int], None]
+) -> SequenceIndex:
+    """The index in a file if it is that of the sequence, else a new one, which is then stored
+    there.
+    """
     try:
         index = SequenceIndex.load(path)
         if index.size == size and index.fingerprint == fingerprint(sequence):
@@ -154,8 +200,12 @@ def indexed(path: Path, sequence: Sequence, size: float, progress: Callable[[int
 
 
 def fingerprint(sequence: Sequence) -> str:
-    """A digest of the number of frames and of five of them: tells sequences apart without reading them."""
-    digest, n = ScanDigest(), len(sequence)
+    """A digest of the number of frames and of five of them.
+
+    Tells sequences apart without reading them.
+    """
+    digest = ScanDigest()
+    n = len(sequence)
     for position in sorted({0, n // 4, n // 2, 3 * n // 4, n - 1}):
         digest.add(sequence[position])
     return f"{n}-{digest.hexdigest()}"
@@ -171,7 +221,8 @@ class _Rows:
         self._farthest: list[F32] = []
         self._tiles: list[I64] = []
         self._counts: list[I64] = []
-        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+        self._low = np.full(3, np.inf)
+        self._high = np.full(3, -np.inf)
 
     def add(self, scan: Scan, tiles: I64, counts: I64) -> None:
         """Add a frame with the tiles of its points."""
@@ -180,12 +231,17 @@ class _Rows:
         self._positions.append(scan.position.copy())
         self._tiles.append(tiles)
         self._counts.append(counts)
-        finite = scan.points if np.isfinite(scan.points).all() else scan.points[np.isfinite(scan.points).all(1)]
+        finite = (
+            scan.points
+            if np.isfinite(scan.points).all()
+            else scan.points[np.isfinite(scan.points).all(1)]
+        )
         for xyz in (finite, scan.origins):
             if len(xyz):
                 self._low = np.minimum(self._low, [column.min() for column in xyz.T])
                 self._high = np.maximum(self._high, [column.max() for column in xyz.T])
-        x, y = finite[:, 0] - scan.position[0], finite[:, 1] - scan.position[1]
+        x = finite[:, 0] - scan.position[0]
+        y = finite[:, 1] - scan.position[1]
         sector = np.floor(np.arctan2(y, x) * (SECTORS / (2 * np.pi))).astype(np.int64) % SECTORS
         farthest = np.zeros(SECTORS, np.float32)
         np.maximum.at(farthest, sector, np.hypot(x, y).astype(np.float32))

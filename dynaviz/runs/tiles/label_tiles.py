@@ -1,4 +1,6 @@
-"""A run on tiles: index the sequence, run every tile, and read the answers of all as those of one labeller."""
+"""A run on tiles: index the sequence, run every tile, and read the answers of all as those of one
+labeller.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ class TileOptions:
 
     def __post_init__(self) -> None:
         if not 10 <= self.size <= 1000:
-            raise UsageError(f"--tiles {self.size:g}: give the edge of a tile in metres, from 10 to 1000")
+            raise UsageError(
+                f"--tiles {self.size:g}: give the edge of a tile in metres, from 10 to 1000"
+            )
         if self.workers < 1:
             raise UsageError(f"--workers {self.workers}: give 1 or more")
 
@@ -76,20 +80,32 @@ class TiledLabels:
 
     scoring = "mask"
 
-    def __init__(self, folder: Path, method: Any, params: Any, index: SequenceIndex, halo: Halo) -> None:
-        self.info, self.Params, self.params = method.info, method.Params, params
-        self._folder, self._grid, self.summary = folder, TileGrid(index.size), index.summary
+    def __init__(
+        self, folder: Path, method: Any, params: Any, index: SequenceIndex, halo: Halo
+    ) -> None:
+        self.info = method.info
+        self.Params = method.Params
+        self.params = params
+        self._folder = folder
+        self._grid = TileGrid(index.size)
+        self.summary = index.summary
         self._answers = lru_cache(maxsize=index.most_tiles + SPARE)(self._load)
-        runtimes = [AnswersHead.load(self._path(packed)).runtime for packed in np.unique(index.tile_of).tolist()]
+        runtimes = [
+            AnswersHead.load(self._path(packed)).runtime
+            for packed in np.unique(index.tile_of).tolist()
+        ]
         self.runtime = _total(runtimes, len(index.numbers))
-        self.tiling = Tiling(index.size, halo.metres, len(runtimes), sum(each.frames or 0 for each in runtimes))
+        self.tiling = Tiling(
+            index.size, halo.metres, len(runtimes), sum(each.frames or 0 for each in runtimes)
+        )
 
     def begin(self, context: Context) -> None:
         """Nothing to prepare."""
 
     def label(self, scan: Scan) -> Labels:
         """The answers of the tiles for their points of this scan."""
-        codes, (tiles, of, counts) = np.zeros(len(scan), np.uint8), self._grid.counted(scan)
+        codes = np.zeros(len(scan), np.uint8)
+        (tiles, of, counts) = self._grid.counted(scan)
         for place, (packed, count) in enumerate(zip(tiles.tolist(), counts.tolist(), strict=True)):
             codes[of == place] = self._of(packed, scan, count)
         return Labels(codes >= DYNAMIC, codes % np.uint8(DYNAMIC))
@@ -98,8 +114,13 @@ class TiledLabels:
         answers = self._answers(packed)
         first, end = answers.rows.get(scan.index, (0, 0))
         if end - first != points:
-            problem = f"frame {scan.index} has {points:,} points in this tile, but {end - first:,} answers"
-            raise DataError(self._path(packed), problem, hint="The data changed during the run: run it again")
+            problem = (
+                f"frame {scan.index} has {points:,} points in this tile, but {end - first:,} "
+                "answers"
+            )
+            raise DataError(
+                self._path(packed), problem, hint="The data changed during the run: run it again"
+            )
         return answers.codes[first:end]
 
     def _load(self, packed: int) -> TileCodes:
@@ -144,11 +165,14 @@ def label_tiles(
     halo = labeller.halo() if isinstance(labeller, Tileable) else Halo(math.inf)
     if halo.metres == math.inf:
         raise UsageError(
-            f"{method.info.name} cannot run on tiles: with these parameters, labels depend on the whole map. "
+            f"{method.info.name} cannot run on tiles: with these parameters, labels depend on the "
+            "whole map. "
             f"Methods that can: {', '.join(tileable())}"
         )
     total = len(sequence)
-    index = indexed(folder / "index.npz", sequence, options.size, lambda done: progress("index", done, total))
+    index = indexed(
+        folder / "index.npz", sequence, options.size, lambda done: progress("index", done, total)
+    )
     key = _key(index, method.info.name, params, online, seed)
     shares = index.points_by_tile
     tasks = [
@@ -167,16 +191,24 @@ def label_tiles(
     failed = [task for task in todo if not task.finished(folder / task.path)]
     if failed:
         error = error_of(folder / failed[0].path) or "it left no answers."
-        names = ", ".join(task.path.name for task in failed[:5]) + (", ..." if len(failed) > 5 else "")
+        names = ", ".join(task.path.name for task in failed[:5]) + (
+            ", ..." if len(failed) > 5 else ""
+        )
         problem = f"{len(failed)} of {len(tasks)} tiles failed ({names}): {error}"
-        raise DataError(folder / failed[0].path, problem, hint="The same command continues with these")
+        raise DataError(
+            folder / failed[0].path, problem, hint="The same command continues with these"
+        )
     return TiledLabels(folder, method, params, index, halo)
 
 
-def tile_frames(sequence: Sequence, index: SequenceIndex, tile: Tile, halo: Halo, truth: bool) -> TileFrames:
+def tile_frames(
+    sequence: Sequence, index: SequenceIndex, tile: Tile, halo: Halo, truth: bool
+) -> TileFrames:
     """The frames of a sequence that see a tile or its halo."""
     frames = index.frames_reaching(tile, halo.metres + 2 * CELL)
-    return TileFrames.of(sequence, index, frames, TileGrid(index.size).local_origin(tile, NEAR), truth)
+    return TileFrames.of(
+        sequence, index, frames, TileGrid(index.size).local_origin(tile, NEAR), truth
+    )
 
 
 def tileable() -> list[str]:
@@ -192,7 +224,11 @@ def _executor(folder: Path, options: TileOptions) -> Iterator[Any]:
 
     if not options.scheduler:
         several = options.workers > 1
-        yield LocalExecutor(folder, options.workers, report, reuse=True) if several else InThisProcess(folder, report)
+        yield (
+            LocalExecutor(folder, options.workers, report, reuse=True)
+            if several
+            else InThisProcess(folder, report)
+        )
         return
     from dynaviz.tasks.cluster import DaskExecutor
 

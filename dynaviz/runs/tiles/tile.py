@@ -1,4 +1,6 @@
-"""The run of one tile: an ordinary run on the frames that see it, whose answers for the tile's own points are kept."""
+"""The run of one tile: an ordinary run on the frames that see it, whose answers for the tile's own
+points are kept.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ from dynaviz.scores.sections import Runtime
 from dynaviz.sources.summary import ScanDigest, SequenceSummary
 
 NEAR = 2500.0  # metres: with a reach of 300 m around the tile, within 32768 voxels of 0.1 m
-# Frames: gaps shrink by multiples of this, so that methods that use every second or fourth frame stay in step.
+# Frames: gaps shrink by multiples of this, so that methods that use every second or fourth frame
+# stay in step.
 CYCLE = 60
 DYNAMIC = 128  # added to the reason code of dynamic points
 _HINT = "Delete it and run the same command again"
@@ -43,7 +46,8 @@ class TileFrames(SequenceView):
     Attributes:
         whole: the sequence.
         rows: positions in the sequence, in order; -1 - position for an empty scan.
-        numbers, places: of these frames: ``Scan.index`` and position of the sensor, (K, 3) float64, metres.
+        numbers, places: of these frames: ``Scan.index`` and position of the sensor, (K, 3) float64,
+            metres.
         origin: (3,) float64, metres: subtracted from all coordinates.
         truth: whether scans have their ground truth, which only a recording needs.
     """
@@ -56,7 +60,9 @@ class TileFrames(SequenceView):
     truth: bool = False
 
     @classmethod
-    def of(cls, sequence: Sequence, index: SequenceIndex, frames: I64, origin: F64, truth: bool = False) -> TileFrames:
+    def of(
+        cls, sequence: Sequence, index: SequenceIndex, frames: I64, origin: F64, truth: bool = False
+    ) -> TileFrames:
         """The frames at these positions, and short gaps of empty scans between them."""
         rows: list[int] = []
         expected = 0
@@ -135,11 +141,19 @@ class TileTask:
         Raises:
             DynavizError: as ``dynaviz.run``.
         """
-        grid, frames = TileGrid(self.size), self.frames
+        grid = TileGrid(self.size)
+        frames = self.frames
         summary = self._summary(progress)
         kind = registry.load("methods", self.method)
         spec = RunSpec(
-            kind(self.params), frames, self.params, (), self.online, self.seed, threads=threads, summary=summary
+            kind(self.params),
+            frames,
+            self.params,
+            (),
+            self.online,
+            self.seed,
+            threads=threads,
+            summary=summary,
         )
         own = OwnPoints(grid, self.tile, frames)
         answers = TileAnswers(folder / self.files[-1], self.key, self._recorded, own)
@@ -148,16 +162,30 @@ class TileTask:
             return
         from dynaviz.views.record.recorder import Recorder
 
-        metrics = tuple(OwnMetric(each(kind.info), own) for each in registry.loadable("metrics").values())
-        with Recorder(folder / self.files[0], self.record, budget=self.budget, rows=own.rows) as recorder:
+        metrics = tuple(
+            OwnMetric(each(kind.info), own) for each in registry.loadable("metrics").values()
+        )
+        with Recorder(
+            folder / self.files[0], self.record, budget=self.budget, rows=own.rows
+        ) as recorder:
             spec = dataclasses.replace(spec, metrics=metrics)
             execute(spec, [OwnListener(recorder, own), answers], recorder, progress)
 
     def _summary(self, progress: Progress) -> SequenceSummary:
-        """The summary of its frames, with cells in the tile and around it only; a digest only for a recording."""
-        growing, digest, points, total = GrowingExtent(), ScanDigest(), 0, len(self.frames)
+        """The summary of its frames, with cells in the tile and around it only.
+
+        A digest only for a recording.
+        """
+        growing = GrowingExtent()
+        digest = ScanDigest()
+        points = 0
+        total = len(self.frames)
         margin = self.halo.metres + 2 * CELL
-        low, high = TileGrid(self.size).bounds(self.tile) - self.frames.origin[:2] + np.array([[-margin], [margin]])
+        low, high = (
+            TileGrid(self.size).bounds(self.tile)
+            - self.frames.origin[:2]
+            + np.array([[-margin], [margin]])
+        )
         around = None if self.halo.along_rays else np.array([low - CELL, high + CELL])
         for done, scan in enumerate(stream(self.frames), 1):
             growing.add(scan, around)
@@ -171,12 +199,16 @@ class TileTask:
         return SequenceSummary(extent, total, points, digest.hexdigest())
 
     def finished(self, folder: Path) -> bool:
-        """Whether its answers are complete and belong to this run, with a recording if one is requested."""
+        """Whether its answers are complete and belong to this run, with a recording if one is
+        requested.
+        """
         try:
             head = AnswersHead.load(folder / self.files[-1])
         except DataError:
             return False
-        recorded = self.record is None or (head.recorded == self._recorded and (folder / self.files[0]).is_file())
+        recorded = self.record is None or (
+            head.recorded == self._recorded and (folder / self.files[0]).is_file()
+        )
         return head.key == self.key and recorded
 
     @property
@@ -188,7 +220,9 @@ class OwnPoints:
     """Reduces labelled scans of a tile's run to the tile's own points."""
 
     def __init__(self, grid: TileGrid, tile: Tile, frames: TileFrames) -> None:
-        self.frames, self._grid, self._tile = frames, grid, tile
+        self.frames = frames
+        self._grid = grid
+        self._tile = tile
         self._last: tuple[Labelled, Labelled] | None = None
 
     def rows(self, scan: Scan) -> Intp:
@@ -199,8 +233,12 @@ class OwnPoints:
         """A scan with its labels, reduced; computed once for the last scan."""
         if self._last is None or self._last[0] is not labelled:
             rows = self.rows(labelled.scan)
-            dynamic, reasons = labelled.dynamic[rows], labelled.reasons[rows]
-            self._last = labelled, Labelled.of(labelled.frame, labelled.scan.chosen(rows), dynamic, reasons)
+            dynamic = labelled.dynamic[rows]
+            reasons = labelled.reasons[rows]
+            self._last = (
+                labelled,
+                Labelled.of(labelled.frame, labelled.scan.chosen(rows), dynamic, reasons),
+            )
         return self._last[1]
 
 
@@ -208,8 +246,10 @@ class OwnMetric:
     """A metric that sees the points of a tile only."""
 
     def __init__(self, metric: Metric, own: OwnPoints) -> None:
-        self._metric, self._own = metric, own
-        self.finish, self.figures = metric.finish, metric.figures
+        self._metric = metric
+        self._own = own
+        self.finish = metric.finish
+        self.figures = metric.figures
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the tile's points of a scan."""
@@ -220,9 +260,12 @@ class OwnListener(Listener):
     """Passes the points of a tile on to another listener."""
 
     def __init__(self, listener: Listener, own: OwnPoints) -> None:
-        self._listener, self._own = listener, own
-        self.begin, self.finish = listener.begin, listener.finish  # type: ignore[method-assign]
-        self.observing, self.observed = listener.observing, listener.observed  # type: ignore[method-assign]
+        self._listener = listener
+        self._own = own
+        self.begin = listener.begin  # type: ignore[method-assign]
+        self.finish = listener.finish  # type: ignore[method-assign]
+        self.observing = listener.observing  # type: ignore[method-assign]
+        self.observed = listener.observed  # type: ignore[method-assign]
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Pass on the tile's points of a scan."""
@@ -230,15 +273,20 @@ class OwnListener(Listener):
 
 
 class TileAnswers(Listener):
-    """Writes ``answers.npz``: for each frame, the answers for the tile's points in the order of the frame.
+    """Writes ``answers.npz``.
 
-    ``numbers``: (K,) int64 numbers of the frames; ``counts``: (K,) int64 points of each; ``codes``: uint8 codes of the
-    reasons, plus ``DYNAMIC`` for points that are removed; ``runtime``: cost of the method, JSON; ``recorded``: mode and
-    budget of the recording.
+    For each frame, the answers for the tile's points in the order of the frame.
+
+    ``numbers``: (K,) int64 numbers of the frames; ``counts``: (K,) int64 points of each; ``codes``:
+    uint8 codes of the reasons, plus ``DYNAMIC`` for points that are removed; ``runtime``: cost of
+    the method, JSON; ``recorded``: mode and budget of the recording.
     """
 
     def __init__(self, path: Path, key: str, recorded: str, own: OwnPoints):
-        self._path, self._key, self._recorded, self._own = path, key, recorded, own
+        self._path = path
+        self._key = key
+        self._recorded = recorded
+        self._own = own
         self._numbers: list[int] = []
         self._codes: list[U8] = []
 
@@ -289,7 +337,11 @@ class AnswersHead:
             DataError: if the file is missing or damaged.
         """
         with open_npy(path, "file of answers", _HINT) as z:
-            return cls(str(z["key"]), str(z["recorded"]), msgspec.json.decode(str(z["runtime"]), type=Runtime))
+            return cls(
+                str(z["key"]),
+                str(z["recorded"]),
+                msgspec.json.decode(str(z["runtime"]), type=Runtime),
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +365,9 @@ class TileCodes:
         """
         with open_npy(path, "file of answers", _HINT) as z:
             ends = np.cumsum(z["counts"])
-            rows = zip(z["numbers"].tolist(), (ends - z["counts"]).tolist(), ends.tolist(), strict=True)
+            rows = zip(
+                z["numbers"].tolist(), (ends - z["counts"]).tolist(), ends.tolist(), strict=True
+            )
             answers = cls({number: (first, end) for number, first, end in rows}, z["codes"])
             if len(answers.codes) != (ends[-1] if len(ends) else 0):
                 raise ValueError("its arrays have different lengths")

@@ -1,9 +1,11 @@
-"""Numbers behind a comparison of two runs on the same points: scores, agreement, and gains by frame and place.
+"""Numbers behind a comparison of two runs on the same points.
 
-Everything follows from counts of points. A *gain* is how much less the second run loses than the first, in percentage
-points of SA and of DA. Gains are additive: summed over all frames, or over all places, they give the difference of the
-scores. Because a sequence has far more static than dynamic points, 100 static points change a gain far less than 100
-dynamic ones, just as in the scores.
+Scores, agreement, and gains by frame and place.
+
+Everything follows from counts of points. A *gain* is how much less the second run loses than the
+first, in percentage points of SA and of DA. Gains are additive: summed over all frames, or over all
+places, they give the difference of the scores. Because a sequence has far more static than dynamic
+points, 100 static points change a gain far less than 100 dynamic ones, just as in the scores.
 """
 
 from __future__ import annotations
@@ -22,7 +24,13 @@ from dynaviz.scores.comparison.frame_answers import BAND_NAMES, FrameAnswers
 from dynaviz.scores.scores import accuracies, percentage_points_lost
 
 TRUTHS = ("static", "dynamic")
-AGREEMENT = ("neither", "only_first", "only_second", "both")  # bit 0: the first run is right; bit 1: the second is
+# bit 0: the first run is right; bit 1: the second is
+AGREEMENT = (
+    "neither",
+    "only_first",
+    "only_second",
+    "both",
+)
 NEITHER, FIRST, SECOND, BOTH = range(4)
 REMOVED_BY = AGREEMENT  # of points without ground truth: which of the runs removed them
 WRONG = ("FP", "FN")  # points: static points removed, dynamic points kept
@@ -54,7 +62,10 @@ class ByScore(Generic[T]):
 
 
 def agreement(truth: U8, first: Bool, second: Bool) -> U8:
-    """(N,) uint8, an index into ``AGREEMENT`` per point; truth (N,) uint8, answers (N,) bool, True = dynamic."""
+    """(N,) uint8, an index into ``AGREEMENT`` per point.
+
+    Truth (N,) uint8, answers (N,) bool, True = dynamic.
+    """
     dynamic = truth == Label.DYNAMIC
     right: U8 = (first == dynamic) + np.uint8(2) * (second == dynamic)
     return right
@@ -68,11 +79,11 @@ class AgreementCounts:
         index: (F,) int64, numbers of the frames in their data set.
         frames: (F, 2, 4) int64, points by frame, truth (``TRUTHS``) and agreement (``AGREEMENT``).
         bands: (2, 4, 5) int64, points by truth, agreement and range band.
-        reasons: (2, 4, 256, 256) int64, points that at least one run got wrong, by truth, agreement and the reason
-            codes of the first and of the second run.
+        reasons: (2, 4, 256, 256) int64, points that at least one run got wrong, by truth, agreement
+            and the reason codes of the first and of the second run.
         removed_bands: (4, 5) int64, unlabelled points by ``REMOVED_BY`` and range band.
-        removed_reasons: (4, 256, 256) int64, unlabelled points that only one run removed, by ``REMOVED_BY`` and the
-            reason codes of the first and of the second run.
+        removed_reasons: (4, 256, 256) int64, unlabelled points that only one run removed, by
+            ``REMOVED_BY`` and the reason codes of the first and of the second run.
     """
 
     index: I64
@@ -89,13 +100,16 @@ class AgreementCounts:
         return points
 
 
-def count_agreement(first: Iterable[FrameAnswers], second: Iterable[FrameAnswers]) -> AgreementCounts:
+def count_agreement(
+    first: Iterable[FrameAnswers], second: Iterable[FrameAnswers]
+) -> AgreementCounts:
     """Count agreement between two runs, frame by frame.
 
     Raises:
         ValueError: if the two runs differ in their frames or points.
     """
-    index, frames = [], []
+    index = []
+    frames = []
     bands = np.zeros((len(TRUTHS), len(AGREEMENT), len(BAND_NAMES)), np.int64)
     reasons = np.zeros((len(TRUTHS), len(AGREEMENT), _REASONS, _REASONS), np.int64)
     removed_bands = np.zeros((len(REMOVED_BY), len(BAND_NAMES)), np.int64)
@@ -105,25 +119,38 @@ def count_agreement(first: Iterable[FrameAnswers], second: Iterable[FrameAnswers
             raise ValueError(f"in frame {a.frame} the ground truth differs")
         labelled = a.truth != Label.UNLABELLED
         kind = a.truth * np.uint8(len(AGREEMENT)) + agreement(a.truth, a.dynamic, b.dynamic)
-        kind, band = kind[labelled].astype(np.intp), a.bands[labelled]
+        kind = kind[labelled].astype(np.intp)
+        band = a.bands[labelled]
         frames.append(np.bincount(kind, minlength=8).reshape(2, 4))
-        bands += np.bincount(kind * len(BAND_NAMES) + band, minlength=bands.size).reshape(bands.shape)
+        bands += np.bincount(kind * len(BAND_NAMES) + band, minlength=bands.size).reshape(
+            bands.shape
+        )
         wrong = kind % len(AGREEMENT) != BOTH
-        codes = (kind[wrong] * _REASONS + a.reasons[labelled][wrong]) * _REASONS + b.reasons[labelled][wrong]
+        codes = (kind[wrong] * _REASONS + a.reasons[labelled][wrong]) * _REASONS + b.reasons[
+            labelled
+        ][wrong]
         reasons += np.bincount(codes, minlength=reasons.size).reshape(reasons.shape)
         if not labelled.all():
             _count_removed(a, b, ~labelled, removed_bands, removed_reasons)
         index.append(a.index)
     counts = np.array(frames, np.int64).reshape(-1, len(TRUTHS), len(AGREEMENT))
-    return AgreementCounts(np.array(index, np.int64), counts, bands, reasons, removed_bands, removed_reasons)
+    return AgreementCounts(
+        np.array(index, np.int64), counts, bands, reasons, removed_bands, removed_reasons
+    )
 
 
-def _count_removed(a: FrameAnswers, b: FrameAnswers, chosen: Bool, bands: I64, reasons: I64) -> None:
+def _count_removed(
+    a: FrameAnswers, b: FrameAnswers, chosen: Bool, bands: I64, reasons: I64
+) -> None:
     """Add the chosen points of a frame to counts by which run removed them."""
     by = (a.dynamic[chosen] + np.uint8(2) * b.dynamic[chosen]).astype(np.intp)
-    bands += np.bincount(by * len(BAND_NAMES) + a.bands[chosen], minlength=bands.size).reshape(bands.shape)
+    bands += np.bincount(by * len(BAND_NAMES) + a.bands[chosen], minlength=bands.size).reshape(
+        bands.shape
+    )
     differ = (by == FIRST) | (by == SECOND)
-    codes = (by[differ] * _REASONS + a.reasons[chosen][differ]) * _REASONS + b.reasons[chosen][differ]
+    codes = (by[differ] * _REASONS + a.reasons[chosen][differ]) * _REASONS + b.reasons[chosen][
+        differ
+    ]
     reasons += np.bincount(codes, minlength=reasons.size).reshape(reasons.shape)
 
 
@@ -151,16 +178,20 @@ def block_length(frames: int) -> int:
     return max(1, round(math.sqrt(frames)))
 
 
-def intervals(frames: I64, resamples: int = RESAMPLES, level: float = LEVEL) -> ByScore[tuple[float, float] | None]:
-    """Confidence intervals of the score differences, by a paired circular block bootstrap over frames.
+def intervals(
+    frames: I64, resamples: int = RESAMPLES, level: float = LEVEL
+) -> ByScore[tuple[float, float] | None]:
+    """Confidence intervals of the score differences, by a paired circular block bootstrap over
+    frames.
 
-    Each resample draws blocks of consecutive frames with replacement, the same blocks for both runs, and computes the
-    scores of the summed counts. Blocks are needed because consecutive frames show nearly the same points and objects:
-    drawing single frames, as ``scipy.stats.bootstrap`` does, would treat correlated frames as independent and make the
-    interval several times too narrow. Blocks are circular (the last frame is followed by the first), so that each frame
-    is drawn equally often, and their length is the square root of the number of frames. The percentile interval is
-    valid for this drive: it shows how much the difference depends on single stretches of it. It says nothing about
-    other drives.
+    Each resample draws blocks of consecutive frames with replacement, the same blocks for both
+    runs, and computes the scores of the summed counts. Blocks are needed because consecutive frames
+    show nearly the same points and objects: drawing single frames, as ``scipy.stats.bootstrap``
+    does, would treat correlated frames as independent and make the interval several times too
+    narrow. Blocks are circular (the last frame is followed by the first), so that each frame is
+    drawn equally often, and their length is the square root of the number of frames. The percentile
+    interval is valid for this drive: it shows how much the difference depends on single stretches
+    of it. It says nothing about other drives.
 
     Args:
         frames: (F, 2, 4), points by frame, truth and agreement.
@@ -168,7 +199,8 @@ def intervals(frames: I64, resamples: int = RESAMPLES, level: float = LEVEL) -> 
         level: confidence level.
 
     Returns:
-        (low, high) of second minus first by score; None below two frames, or if no resample defines the score.
+        (low, high) of second minus first by score; None below two frames, or if no resample defines
+        the score.
     """
     n = len(frames)
     if n < 2:
@@ -207,16 +239,20 @@ def gains(wrong_first: I64, wrong_second: I64, total: I64) -> F64:
 
 
 def frame_gains(counts: AgreementCounts) -> F64:
-    """(F, 2) float64: the gain of each frame in percentage points of the run's SA and DA; sums to the difference."""
+    """(F, 2) float64: the gain of each frame in percentage points of the run's SA and DA.
+
+    Sums to the difference.
+    """
     return gains(counts.frames[..., SECOND], counts.frames[..., FIRST], counts.points.sum(1))
 
 
 class SpatialCells:
-    """Wrong points of a run, counted by square columns of the world, from the points that were drawn.
+    """Wrong points of a run, counted by square columns of the world, from the points that were
+    drawn.
 
-    Columns start at whole metres, like the voxels used to downsample false positives in a recording. A column whose
-    size is a whole number of metres therefore contains all points a drawn point stands for, except for rounding at its
-    border.
+    Columns start at whole metres, like the voxels used to downsample false positives in a
+    recording. A column whose size is a whole number of metres therefore contains all points a drawn
+    point stands for, except for rounding at its border.
 
     Args:
         size: edge of a column, metres.
@@ -230,19 +266,30 @@ class SpatialCells:
         self._frames: list[int] = []
 
     def add(self, frame: int, xyz: F32, outcome: U8, stands_for: I64) -> None:
-        """Add drawn points: xyz (M, 3) metres, world frame; outcome (M,), stands_for (M,). Skips non-finite points."""
-        wrong = np.isin(outcome, (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)) & np.isfinite(xyz).all(1)
-        xyz, weight = xyz[wrong].astype(np.float64), stands_for[wrong]
+        """Add drawn points: xyz (M, 3) metres, world frame; outcome (M,), stands_for (M,).
+
+        Skips non-finite points.
+        """
+        wrong = np.isin(outcome, (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)) & np.isfinite(
+            xyz
+        ).all(1)
+        xyz = xyz[wrong].astype(np.float64)
+        weight = stands_for[wrong]
         cell = np.floor(xyz[:, :2] / self.size).astype(np.int64)
         keys, of = np.unique(cell[:, 0] * _REACH + cell[:, 1], return_inverse=True)
         missed = (outcome[wrong] == Outcome.FALSE_NEGATIVE).astype(np.intp)
         self._keys.append(keys)
-        self._counts.append(np.bincount(of * 2 + missed, weight, 2 * len(keys)).reshape(-1, 2).astype(np.int64))
+        self._counts.append(
+            np.bincount(of * 2 + missed, weight, 2 * len(keys)).reshape(-1, 2).astype(np.int64)
+        )
         self._heights.append(np.bincount(of, weight * xyz[:, 2], len(keys)).astype(np.float64))
         self._frames.append(frame)
 
     def rows(self) -> tuple[I64, I64, I64, F64]:
-        """One row per cell and frame: packed cells (K,), frames (K,), wrong points by truth (K, 2), summed z (K,)."""
+        """One row per cell and frame.
+
+        Packed cells (K,), frames (K,), wrong points by truth (K, 2), summed z (K,).
+        """
         counts: I64 = np.concatenate([np.empty((0, 2), np.int64), *self._counts])
         frames = np.repeat(np.array(self._frames, np.int64), [len(part) for part in self._keys])
         keys = np.concatenate([np.empty(0, np.int64), *self._keys])
@@ -259,7 +306,8 @@ class SpatialGains:
     """Places where at least one of two runs is wrong.
 
     Attributes:
-        low: (K, 3) float64, metres, world frame: lower corner in x and y, mean height of wrong points in z.
+        low: (K, 3) float64, metres, world frame: lower corner in x and y, mean height of wrong
+            points in z.
         size: edge, metres.
         wrong: (K, 2, 2) int64, wrong points by run and truth.
         gain: (K, 2) float64, percentage points of SA and DA.
@@ -288,7 +336,9 @@ def spatial_gains(first: SpatialCells, second: SpatialCells, total: I64) -> Spat
     gain = gains(wrong[:, 0], wrong[:, 1], total)
     height = np.bincount(of, heights, len(unique)) / wrong.sum((1, 2))
     low = np.column_stack([first.corners(unique), height])
-    return SpatialGains(low, first.size, wrong, gain, _worst_frames(of, frames, side, counts, gain, total))
+    return SpatialGains(
+        low, first.size, wrong, gain, _worst_frames(of, frames, side, counts, gain, total)
+    )
 
 
 def _worst_frames(of: I64, frames: I64, side: I64, counts: I64, gain: F64, total: I64) -> I64:
@@ -309,7 +359,10 @@ def _worst_frames(of: I64, frames: I64, side: I64, counts: I64, gain: F64, total
 
 
 def largest(gain: F64) -> Intp:
-    """Rows of (K, 2) gains by the absolute value of their sum, largest first; zero rows are left out."""
+    """Rows of (K, 2) gains by the absolute value of their sum, largest first.
+
+    Zero rows are left out.
+    """
     total = np.abs(gain.sum(1))
     order = np.argsort(-total, kind="stable")
     chosen: Intp = order[total[order] > 0]

@@ -1,4 +1,7 @@
-"""The lossless part of a recording: label, ground truth, reason and range band of each point, compressed by frame."""
+"""The lossless part of a recording.
+
+Label, ground truth, reason and range band of each point, compressed by frame.
+"""
 
 from __future__ import annotations
 
@@ -55,11 +58,18 @@ class FrameAnswers:
     def of(cls, labelled: Labelled) -> FrameAnswers:
         """From a labelled scan."""
         scan = labelled.scan
-        truth = np.full(len(scan), Label.UNLABELLED, np.uint8) if scan.labels is None else scan.labels
-        return cls(labelled.frame, scan.index, labelled.dynamic, truth, labelled.reasons, range_bands(scan))
+        truth = (
+            np.full(len(scan), Label.UNLABELLED, np.uint8) if scan.labels is None else scan.labels
+        )
+        return cls(
+            labelled.frame, scan.index, labelled.dynamic, truth, labelled.reasons, range_bands(scan)
+        )
 
     def packed(self) -> dict[str, NDArray[np.generic]]:
-        """Components of the recording: two numbers, and four (bytes,) uint8 arrays compressed with zlib."""
+        """Components of the recording.
+
+        Two numbers, and four (bytes,) uint8 arrays compressed with zlib.
+        """
         return {
             "index": np.array([self.index], np.int64),
             "points": np.array([len(self)], np.int64),
@@ -78,19 +88,31 @@ class FrameAnswers:
         """
         n = int(components["points"][0])
         bits = np.unpackbits(_decompress(components["predicted"], (n + 7) // 8), count=n)
-        truth, reasons, bands = (_decompress(components[name], n) for name in ("truth", "reasons", "bands"))
+        truth, reasons, bands = (
+            _decompress(components[name], n) for name in ("truth", "reasons", "bands")
+        )
         return cls(frame, int(components["index"][0]), bits.astype(np.bool_), truth, reasons, bands)
 
 
 def range_bands(scan: Scan) -> U8:
-    """(N,) uint8: each point's range from its ray's origin as an index into ``BAND_NAMES``; the last if not finite."""
-    points, origins = (kernels.as_readonly(array, np.float32) for array in (scan.points, scan.origins))
-    bands: U8 = kernels.drawing.range_bands(points, origins, np.square(RANGE_EDGES).astype(np.float32))
+    """(N,) uint8: each point's range from its ray's origin as an index into ``BAND_NAMES``.
+
+    The last if not finite.
+    """
+    points, origins = (
+        kernels.as_readonly(array, np.float32) for array in (scan.points, scan.origins)
+    )
+    bands: U8 = kernels.drawing.range_bands(
+        points, origins, np.square(RANGE_EDGES).astype(np.float32)
+    )
     return bands
 
 
 def _compress(array: U8) -> U8:
-    """Neighbouring points mostly have equal values, so run lengths suffice; that is also several times faster."""
+    """Neighbouring points mostly have equal values, so run lengths suffice.
+
+    That is also several times faster.
+    """
     packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
     return np.frombuffer(packer.compress(array.tobytes()) + packer.flush(), np.uint8)
 

@@ -1,4 +1,7 @@
-"""Compared runs and what differs between two of them, as typed values. Field names are the keys of ``--json``."""
+"""Compared runs and what differs between two of them, as typed values.
+
+Field names are the keys of ``--json``.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,12 @@ from dynaviz.scores.comparison.counts import (
     scores,
 )
 from dynaviz.scores.comparison.frame_answers import BAND_NAMES
-from dynaviz.scores.comparison.settings import RuntimeRatio, SettingChange, runtime_ratio, setting_changes
+from dynaviz.scores.comparison.settings import (
+    RuntimeRatio,
+    SettingChange,
+    runtime_ratio,
+    setting_changes,
+)
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percent
 from dynaviz.scores.sections import Runtime
@@ -45,7 +53,8 @@ class ComparedRun:
         letter: A, B, ... in the order given.
         name: the method, and the settings that distinguish it from the other runs.
         path, sha256: its recording.
-        method, title, scoring, online, seed, parameters, runtime, instrumented, command: as in its result.
+        method, title, scoring, online, seed, parameters, runtime, instrumented, command: as in its
+            result.
         mode: how much its recording contains.
         scores: of the whole run.
     """
@@ -74,7 +83,10 @@ class ComparedRun:
 
 @dataclass(frozen=True, slots=True)
 class ScoreChange:
-    """A score of both runs; ``delta`` is second - first, ``interval`` its 95 % interval. None where undefined."""
+    """A score of both runs; ``delta`` is second - first, ``interval`` its 95 % interval.
+
+    None where undefined.
+    """
 
     first: float | None
     second: float | None
@@ -84,7 +96,9 @@ class ScoreChange:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Points that neither run, only the first, only the second, or both labelled correctly, or removed."""
+    """Points that neither run, only the first, only the second, or both labelled correctly, or
+    removed.
+    """
 
     neither: int
     only_first: int
@@ -95,7 +109,9 @@ class Agreement:
     def shares(self) -> tuple[float, float]:
         """Points of the first and of the second run, percent; NaN without points."""
         total = self.neither + self.only_first + self.only_second + self.both
-        return float(percent(self.only_first + self.both, total)), float(percent(self.only_second + self.both, total))
+        return float(percent(self.only_first + self.both, total)), float(
+            percent(self.only_second + self.both, total)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +133,10 @@ class RangeAgreement:
 
 @dataclass(frozen=True, slots=True)
 class ReasonPair:
-    """Points by truth, agreement and the reasons of the runs that are wrong; the reason of a correct run is None."""
+    """Points by truth, agreement and the reasons of the runs that are wrong.
+
+    The reason of a correct run is None.
+    """
 
     truth: str
     right: str
@@ -141,7 +160,8 @@ class FrameChange:
     Attributes:
         frame: position in the run.
         index: number in the data set.
-        gain: sum of ``gain_SA`` and ``gain_DA``, percentage points; positive where the second run is better.
+        gain: sum of ``gain_SA`` and ``gain_DA``, percentage points; positive where the second run
+            is better.
         first, second: wrong points of each run.
     """
 
@@ -186,7 +206,9 @@ class RangeRemoved:
 
 @dataclass(frozen=True, slots=True)
 class RemovalReasons:
-    """Points that only one run removed (``only_first`` or ``only_second``), by the reasons of both runs."""
+    """Points that only one run removed (``only_first`` or ``only_second``), by the reasons of both
+    runs.
+    """
 
     removed_by: str
     first_reason: str
@@ -219,7 +241,8 @@ class PairComparison:
         right: labelled points by agreement.
         by_range: the same, by range from the sensor.
         by_reason: wrong points by reason, most points first.
-        frames, places: those with the largest gains; places are None if a recording has no coordinates.
+        frames, places: those with the largest gains; places are None if a recording has no
+            coordinates.
         places_note: what a place is, or why there are none.
         differ: settings that differ.
         runtime: ratio of runtimes.
@@ -262,7 +285,10 @@ def compare_pair(
         *letters,
         scores=_score_changes(counts),
         right=AgreementByTruth(*_by_truth(counts.points)),
-        by_range=tuple(RangeAgreement(name, *_by_truth(counts.bands[..., i])) for i, name in enumerate(BAND_NAMES)),
+        by_range=tuple(
+            RangeAgreement(name, *_by_truth(counts.bands[..., i]))
+            for i, name in enumerate(BAND_NAMES)
+        ),
         by_reason=_by_reason(counts.reasons, reasons),
         frames=_frame_changes(counts),
         places=None if places is None else _place_changes(places),
@@ -276,12 +302,21 @@ def compare_pair(
 def run_scores(points: I64) -> tuple[Scores, Scores]:
     """Scores of the first and of the second run; points (2, 4) by truth and agreement."""
     first, second = scores(points)
-    return ByScore(*(_plain(v) for _, v in first.items())), ByScore(*(_plain(v) for _, v in second.items()))
+    return ByScore(*(_plain(v) for _, v in first.items())), ByScore(
+        *(_plain(v) for _, v in second.items())
+    )
 
 
 def _score_changes(counts: AgreementCounts) -> ByScore[ScoreChange]:
-    rows = zip(*(by.items() for by in (*scores(counts.points), intervals(counts.frames))), strict=True)
-    return ByScore(*(ScoreChange(_plain(a), _plain(b), _plain(b - a), within) for (_, a), (_, b), (_, within) in rows))
+    rows = zip(
+        *(by.items() for by in (*scores(counts.points), intervals(counts.frames))), strict=True
+    )
+    return ByScore(
+        *(
+            ScoreChange(_plain(a), _plain(b), _plain(b - a), within)
+            for (_, a), (_, b), (_, within) in rows
+        )
+    )
 
 
 def _by_truth(points: I64) -> tuple[Agreement, Agreement]:
@@ -300,11 +335,15 @@ def _by_reason(counts: I64, names: tuple[ReasonNames, ReasonNames]) -> tuple[Rea
         for i, j in np.argwhere(points).tolist():
             first = None if kind == FIRST else names[0].get(i, str(i))
             second = None if kind == SECOND else names[1].get(j, str(j))
-            rows.append(ReasonPair(TRUTHS[truth], AGREEMENT[kind], first, second, int(points[i, j])))
+            rows.append(
+                ReasonPair(TRUTHS[truth], AGREEMENT[kind], first, second, int(points[i, j]))
+            )
     return tuple(sorted(rows, key=lambda row: -row.points))
 
 
-def _removals(counts: AgreementCounts, names: tuple[ReasonNames, ReasonNames]) -> RemovalComparison | None:
+def _removals(
+    counts: AgreementCounts, names: tuple[ReasonNames, ReasonNames]
+) -> RemovalComparison | None:
     """What the runs removed; None if there is ground truth."""
     if counts.points.any():
         return None
@@ -317,7 +356,10 @@ def _removals(counts: AgreementCounts, names: tuple[ReasonNames, ReasonNames]) -
     bands = counts.removed_bands
     return RemovalComparison(
         Agreement(*bands.sum(1).tolist()),
-        tuple(RangeRemoved(name, Agreement(*bands[:, i].tolist())) for i, name in enumerate(BAND_NAMES)),
+        tuple(
+            RangeRemoved(name, Agreement(*bands[:, i].tolist()))
+            for i, name in enumerate(BAND_NAMES)
+        ),
         tuple(sorted(rows, key=lambda row: -row.points)),
     )
 
@@ -342,7 +384,11 @@ def _place_changes(places: SpatialGains) -> tuple[PlaceChange, ...]:
         x, y, height = places.low[k].tolist()
         first, second = (WrongPointCounts(*wrong) for wrong in places.wrong[k].tolist())
         high = (x + places.size, y + places.size)
-        found.append(PlaceChange((x, y), high, height, int(places.frame[k]), *_gain(places.gain[k]), first, second))
+        found.append(
+            PlaceChange(
+                (x, y), high, height, int(places.frame[k]), *_gain(places.gain[k]), first, second
+            )
+        )
     return tuple(found)
 
 

@@ -27,7 +27,8 @@ class RuntimeRatio:
     """Runtimes of two runs.
 
     Attributes:
-        ratio: seconds per frame of the second run over the first's; None if they are not comparable.
+        ratio: seconds per frame of the second run over the first's; None if they are not
+            comparable.
         first_s, second_s: mean seconds per frame; None if not measured.
         notes: why there is no ratio, or what to keep in mind about it.
     """
@@ -39,11 +40,18 @@ class RuntimeRatio:
 
 
 def names(results: Sequence[Result], paths: Sequence[Path]) -> list[str]:
-    """Short names of runs: the method, and the settings that distinguish it from other runs of the same method."""
+    """Short names of runs: the method, and the settings that distinguish it from other runs of the
+    same method.
+    """
     found = []
     for result, path in zip(results, paths, strict=True):
-        own, same = _settings_of(result), [other for other in results if other.method == result.method]
-        differing = [name for name, value in own.items() if any(_settings_of(o).get(name) != value for o in same)]
+        own = _settings_of(result)
+        same = [other for other in results if other.method == result.method]
+        differing = [
+            name
+            for name, value in own.items()
+            if any(_settings_of(o).get(name) != value for o in same)
+        ]
         words = [f"{name}={text(own[name])}" for name in differing[:NAMED]]
         if not differing and len(same) > 1:
             words = [path.parent.name if path.stem == "run" else path.stem]
@@ -60,7 +68,8 @@ def text(value: Any) -> str:
 
 def setting_changes(first: Result, second: Result) -> tuple[SettingChange, ...]:
     """All settings that differ between two runs."""
-    a, b = _settings_of(first), _settings_of(second)
+    a = _settings_of(first)
+    b = _settings_of(second)
     differing = [name for name in dict.fromkeys([*a, *b]) if a.get(name) != b.get(name)]
     return tuple(SettingChange(name, a.get(name), b.get(name)) for name in differing)
 
@@ -72,9 +81,12 @@ def _settings_of(result: Result) -> dict[str, Any]:
 
 def runtime_ratio(first: Result, second: Result) -> RuntimeRatio:
     """Compare the runtimes of two runs."""
-    a, b = first.runtime.mean_s, second.runtime.mean_s
+    a = first.runtime.mean_s
+    b = second.runtime.mean_s
     sources = [result.method for result in (first, second) if result.sections.source]
-    notes = [f"no runtime ratio: the labels of {method} were read from a file" for method in sources]
+    notes = [
+        f"no runtime ratio: the labels of {method} were read from a file" for method in sources
+    ]
     if not notes and (a is None or b is None):
         notes.append("no runtime ratio: one runtime was not measured")
     if not notes and first.instrumented != second.instrumented:

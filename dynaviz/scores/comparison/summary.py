@@ -1,4 +1,7 @@
-"""Comparison: what differs between runs, as typed values; saved as JSON, shown as tables or Markdown."""
+"""Comparison: what differs between runs, as typed values.
+
+Saved as JSON, shown as tables or Markdown.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,12 @@ from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.scores.comparison import tables
 from dynaviz.scores.comparison.counts import LEVEL, RESAMPLES, SEED, block_length
-from dynaviz.scores.comparison.pair import ComparedRun, PairComparison, RemovalComparison, ScoreChange
+from dynaviz.scores.comparison.pair import (
+    ComparedRun,
+    PairComparison,
+    RemovalComparison,
+    ScoreChange,
+)
 from dynaviz.scores.sections import SequenceInfo
 
 if TYPE_CHECKING:
@@ -87,11 +95,14 @@ class Comparison:
             aa = pair.scores.AA
             if aa.first is None or aa.second is None or aa.delta is None:
                 raise UsageError(
-                    "AA is undefined without both static and dynamic points, so it cannot be checked. Compare SA or DA"
+                    "AA is undefined without both static and dynamic points, so it cannot be "
+                    "checked. Compare SA or DA"
                 )
             if aa.delta < limit:
                 change = f"AA changed from {aa.first:.2f} to {aa.second:.2f}"
-                sentences.append(f"{run.label}: {change}, by {aa.delta:+.2f}, which is below {limit:+g}")
+                sentences.append(
+                    f"{run.label}: {change}, by {aa.delta:+.2f}, which is below {limit:+g}"
+                )
         return sentences
 
     def verdicts(self) -> list[str]:
@@ -101,11 +112,19 @@ class Comparison:
     def _notes(self) -> Iterator[str]:
         """What a reader should know about the points that were compared."""
         if n := len(self.unscored_frames):
-            yield f"{n:,} of {self.sequence.frames:,} frames are left out, because a run has no labels for them."
+            yield (
+                f"{n:,} of {self.sequence.frames:,} frames are left out, because a run has no "
+                "labels for them."
+            )
 
     def markdown(self, legend: str = "") -> str:
         """The report in the comparison's recording; ``legend`` explains its colours."""
-        parts = [f"## {self.title}", *(f"**{line}**" for line in self.verdicts()), *self._notes(), legend]
+        parts = [
+            f"## {self.title}",
+            *(f"**{line}**" for line in self.verdicts()),
+            *self._notes(),
+            legend,
+        ]
         parts += [tables.markdown(section) for section in tables.sections(self.runs, self.pairs)]
         return "\n\n".join(part for part in parts if part)
 
@@ -136,7 +155,9 @@ def _verdict(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> s
     for what, name in (("keeps more static points", "SA"), ("removes more dynamic points", "DA")):
         delta = by_name[name].delta
         if delta and _is_clear(by_name[name]):
-            sentences.append(f"{(second if delta > 0 else first).label} {what} ({name} {abs(delta):+.2f}).")
+            sentences.append(
+                f"{(second if delta > 0 else first).label} {what} ({name} {abs(delta):+.2f})."
+            )
     return " ".join(sentences)
 
 
@@ -165,7 +186,8 @@ def _removed(first: ComparedRun, second: ComparedRun, removed: RemovalComparison
     total = points.neither + points.only_first + points.only_second + points.both
     if not total:
         return "No score is defined, because there are no points."
-    shares, only = points.shares, (100 * n / total for n in (points.only_first, points.only_second))
+    shares = points.shares
+    only = (100 * n / total for n in (points.only_first, points.only_second))
     runs = [
         f"{run.label} removes {share:.2f} % of the points, {alone:.2f} % that the other keeps"
         for run, share, alone in zip((first, second), shares, only, strict=True)

@@ -36,14 +36,18 @@ class TableSection:
     note: str = ""
 
 
-def sections(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]) -> Iterator[TableSection]:
+def sections(
+    runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]
+) -> Iterator[TableSection]:
     """All tables; details only for two runs.
 
     Args:
         runs: all runs.
         pairs: the first run against each other run.
     """
-    unscored = [(run, pair.removed) for run, pair in zip(runs[1:], pairs, strict=True) if pair.removed]
+    unscored = [
+        (run, pair.removed) for run, pair in zip(runs[1:], pairs, strict=True) if pair.removed
+    ]
     if unscored:
         for run, removed in unscored:
             yield _removed_by_range(runs[0], run, removed)
@@ -64,7 +68,9 @@ def sections(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]) -> It
 def markdown(section: TableSection) -> str:
     """A table as Markdown."""
     lines = [section.head, ("---",) + ("---:",) * (len(section.head) - 1), *section.rows]
-    table = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+    table = "\n".join(
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines
+    )
     parts = [f"### {section.title}", table if section.rows else "", section.note]
     return "\n\n".join(part for part in parts if part)
 
@@ -77,8 +83,16 @@ def renderable(section: TableSection) -> RenderableType:
 
     if not section.rows:
         return f"[italic]{section.title}[/]: {escape(section.note)}"
-    table = Table(title=section.title, title_justify="left", caption=section.note or None, caption_justify="left")
-    table.box, table.padding, table.pad_edge, table.min_width = box.SIMPLE_HEAD, (0, 1, 0, 0), False, 60
+    table = Table(
+        title=section.title,
+        title_justify="left",
+        caption=section.note or None,
+        caption_justify="left",
+    )
+    table.box = box.SIMPLE_HEAD
+    table.padding = (0, 1, 0, 0)
+    table.pad_edge = False
+    table.min_width = 60
     for i, name in enumerate(section.head):
         table.add_column(escape(name), justify="right" if i else "left", no_wrap=True)
     for row in section.rows:
@@ -98,7 +112,12 @@ def _scores_of_two(first: ComparedRun, second: ComparedRun, pair: PairComparison
          _interval(score.interval, name))
         for name, score in pair.scores.items()
     ]  # fmt: skip
-    return TableSection("Scores", ("", first.label, second.label, "B - A", "95 % interval"), tuple(rows), _SCORES_NOTE)
+    return TableSection(
+        "Scores",
+        ("", first.label, second.label, "B - A", "95 % interval"),
+        tuple(rows),
+        _SCORES_NOTE,
+    )
 
 
 def _scores_of_many(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]) -> TableSection:
@@ -122,7 +141,9 @@ def _agreement(first: ComparedRun, second: ComparedRun, pair: PairComparison) ->
 
 
 def _counts(name: str, points: Agreement) -> tuple[str, ...]:
-    return name, *(f"{n:,}" for n in (points.only_first, points.only_second, points.neither, points.both))
+    return name, *(
+        f"{n:,}" for n in (points.only_first, points.only_second, points.neither, points.both)
+    )
 
 
 _CORRECT = {"only_first": "only A", "only_second": "only B", "neither": "neither"}
@@ -139,22 +160,33 @@ def _reasons(pair: PairComparison) -> TableSection:
         )
         for row in pair.by_reason[:LISTED]
     ]
-    return TableSection("Errors by reason", ("correct", "point", "A's reason", "B's reason", "points"), tuple(rows))
+    return TableSection(
+        "Errors by reason", ("correct", "point", "A's reason", "B's reason", "points"), tuple(rows)
+    )
 
 
-def _removed_by_range(first: ComparedRun, second: ComparedRun, removed: RemovalComparison) -> TableSection:
-    head = ("points", f"only {first.label}", f"only {second.label}", "neither", "both", f"{first.letter} in %",
+def _removed_by_range(
+    first: ComparedRun, second: ComparedRun, removed: RemovalComparison
+) -> TableSection:
+    head = ("points", f"only {first.label}", "only "
+    f"{second.label}", "neither", "both", f"{first.letter} in %",
             f"{second.letter} in %")  # fmt: skip
     rows = []
-    for name, points in (("all", removed.points), *((row.band, row.points) for row in removed.by_range)):
+    for name, points in (
+        ("all", removed.points),
+        *((row.band, row.points) for row in removed.by_range),
+    ):
         shares = ("n/a" if math.isnan(share) else f"{share:.2f}" for share in points.shares)
         rows.append((*_counts(name, points), *shares))
     note = "There is no ground truth, so it is unknown which points were removed rightly"
     return TableSection("Removed points, by range from the sensor", head, tuple(rows), note)
 
 
-def _removal_reasons(first: ComparedRun, second: ComparedRun, removed: RemovalComparison) -> TableSection:
-    a, b = first.letter, second.letter
+def _removal_reasons(
+    first: ComparedRun, second: ComparedRun, removed: RemovalComparison
+) -> TableSection:
+    a = first.letter
+    b = second.letter
     only = {"only_first": f"only {a}", "only_second": f"only {b}"}
     rows = [
         (only[row.removed_by], row.first_reason, row.second_reason, f"{row.points:,}")
@@ -171,7 +203,8 @@ _CHANGES = ("better", "SA gain", "DA gain", "FP A", "FP B", "FN A", "FN B")
 def _frames(pair: PairComparison) -> TableSection:
     rows = [(f"{row.frame}", *_change(row)) for row in pair.frames]
     note = (
-        "Gain: how much less B loses than A, in percentage points of SA and of DA; summed over all frames it is B - A"
+        "Gain: how much less B loses than A, in percentage points of SA and of DA; summed over all "
+        "frames it is B - A"
     )
     return TableSection("Frames that change most", ("frame", *_CHANGES), tuple(rows), note)
 
@@ -194,12 +227,15 @@ def _change(row: FrameChange | PlaceChange) -> tuple[str, ...]:
 
 
 def _settings(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> TableSection:
-    a, b = first.letter, second.letter
+    a = first.letter
+    b = second.letter
     rows = [(row.name, text(row.first), text(row.second)) for row in pair.differ]
     notes = list(pair.runtime.notes)
     if pair.runtime.ratio is not None:
         notes.insert(0, f"{b} takes {pair.runtime.ratio:.2f} times as long per frame as {a}")
-    return TableSection(f"Settings that differ: {a}, {b}", ("setting", a, b), tuple(rows), "; ".join(notes))
+    return TableSection(
+        f"Settings that differ: {a}, {b}", ("setting", a, b), tuple(rows), "; ".join(notes)
+    )
 
 
 def _number(value: float | None, name: str, sign: str = "") -> str:

@@ -1,4 +1,7 @@
-"""Open a sequence of any supported format; formats are plug-ins (entry point group ``dynaviz.datasets``)."""
+"""Open a sequence of any supported format.
+
+Formats are plug-ins (entry point group ``dynaviz.datasets``).
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,8 @@ class Dataset(Sequence, Protocol):
     Attributes:
         layout: the files of the format, in a few words, for messages.
         fallback: optional; True for a general format that is tried only if no other format matches.
-        nested: optional; True for a format whose path names another sequence, with options; it is passed on as it is.
+        nested: optional; True for a format whose path names another sequence, with options; it is
+            passed on as it is.
     """
 
     layout: ClassVar[str]
@@ -39,7 +43,8 @@ class Dataset(Sequence, Protocol):
     def open(cls, path: Path) -> Self:
         """Open a sequence.
 
-        The method may accept the keywords ``poses``, ``points_in`` and ``deskew`` of ``dynaviz.open``.
+        The method may accept the keywords ``poses``, ``points_in`` and ``deskew`` of
+        ``dynaviz.open``.
 
         Raises:
             DataError: if files that the format needs are missing or invalid.
@@ -63,7 +68,9 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
     options = {name: value for name, value in options.items() if value is not None}
     if "://" in text and not Path(text).exists():
         if options:
-            raise UsageError(f"{', '.join(options)}: not supported for URLs. Leave it out, or copy the data")
+            raise UsageError(
+                f"{', '.join(options)}: not supported for URLs. Leave it out, or copy the data"
+            )
         from dynaviz.sources.datasets.remote import RemoteSequence
 
         return select_frames(RemoteSequence(text), sensor=load_sensor(sensor) if sensor else None)
@@ -78,7 +85,9 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
         sequence: Sequence = dataset.open(path, **options)
     except OSError as error:  # such as a name that is too long, or a folder that may not be listed
         problem = f"cannot be read ({error.strerror or error})"
-        raise DataError(error.filename or text, problem, hint="Give the folder of a sequence") from None
+        raise DataError(
+            error.filename or text, problem, hint="Give the folder of a sequence"
+        ) from None
     return select_frames(sequence, sensor=load_sensor(sensor)) if sensor else sequence
 
 
@@ -113,7 +122,8 @@ def _check_options(dataset: type[Dataset], options: Mapping[str, Any]) -> None:
     if not _accepts(dataset, options):
         flags = ", ".join("--" + name.replace("_", "-") for name in options)
         raise UsageError(
-            f"{flags}: not supported by {dataset.__name__}. Leave it out, or force another format (files:PATH)"
+            f"{flags}: not supported by {dataset.__name__}. Leave it out, or force another format "
+            "(files:PATH)"
         )
 
 
@@ -121,7 +131,9 @@ def _datasets() -> list[type[Dataset]]:
     """All formats that can be loaded, with the fallbacks at the end."""
     datasets: list[type[Dataset]] = []
     for handle in registry.handles("datasets"):
-        with contextlib.suppress(PluginError):  # a broken plug-in is reported when it is requested by name
+        with contextlib.suppress(
+            PluginError
+        ):  # a broken plug-in is reported when it is requested by name
             datasets.append(handle.load())
     return sorted(datasets, key=lambda dataset: getattr(dataset, "fallback", False))
 
@@ -132,12 +144,19 @@ def _detect(path: Path, options: Mapping[str, Any]) -> type[Dataset]:
     for dataset in datasets:
         if _accepts(dataset, options) and dataset.matches(path):
             return dataset
-    if options and (other := next((dataset for dataset in datasets if dataset.matches(path)), None)):
+    if options and (
+        other := next((dataset for dataset in datasets if dataset.matches(path)), None)
+    ):
         _check_options(other, options)
-    if not path.exists():  # checked last: KITTI tracking accepts training/0012, which is not a folder
+    if (
+        not path.exists()
+    ):  # checked last: KITTI tracking accepts training/0012, which is not a folder
         raise DataError(path, "does not exist", hint="Give the folder of a sequence")
     specific = [dataset for dataset in datasets if not getattr(dataset, "fallback", False)]
-    near = next((place for place in _nearby(path) if any(dataset.matches(place) for dataset in specific)), None)
+    near = next(
+        (place for place in _nearby(path) if any(dataset.matches(place) for dataset in specific)),
+        None,
+    )
     hint = "List the supported layouts with 'dynaviz list datasets', or force one: benchmark:PATH"
     if near:
         hint = f"Did you mean {near}? {hint}"
@@ -145,7 +164,10 @@ def _detect(path: Path, options: Mapping[str, Any]) -> type[Dataset]:
 
 
 def _nearby(path: Path) -> list[Path]:
-    """Paths that may be the intended sequence: the parents of a file, or the subfolders of a folder."""
+    """Paths that may be the intended sequence.
+
+    The parents of a file, or the subfolders of a folder.
+    """
     if path.is_file():
         return list(path.parents)[:2]
     with contextlib.suppress(OSError):
@@ -161,6 +183,8 @@ def _description(path: Path) -> str:
         entries = list(path.iterdir())
     except OSError as error:
         return f"a folder that cannot be listed ({error.strerror})"
-    counts = Counter("folders" if entry.is_dir() else f"{entry.suffix or 'other'} files" for entry in entries)
+    counts = Counter(
+        "folders" if entry.is_dir() else f"{entry.suffix or 'other'} files" for entry in entries
+    )
     content = ", ".join(f"{kind}: {count}" for kind, count in counts.most_common(3))
     return f"a folder ({content})" if content else "an empty folder"

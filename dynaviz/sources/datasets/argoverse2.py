@@ -1,4 +1,7 @@
-"""Argoverse 2 sensor logs (Wilson et al. 2021): sweeps of two lidars, ego poses, boxes with track ids."""
+"""Argoverse 2 sensor logs (Wilson et al. 2021).
+
+Sweeps of two lidars, ego poses, boxes with track ids.
+"""
 
 from __future__ import annotations
 
@@ -15,29 +18,49 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
 from dynaviz.io.feather import read_feather
-from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
+from dynaviz.sources.datasets.box_labels import (
+    OrientedBox,
+    moving_tracks,
+    track_facts,
+    truth_from_boxes,
+)
 from dynaviz.sources.datasets.files import has_files, numbered_files, only
 from dynaviz.sources.datasets.truth import Truth, scan_fields
 from dynaviz.spatial import geometry
 
 CATEGORIES = (  # Scan.classes are positions in this tuple, as in the data set's flow labels
-    "none", "animal", "articulated bus", "bicycle", "bicyclist", "bollard", "box truck", "bus", "construction barrel",
-    "construction cone", "dog", "large vehicle", "message board trailer", "mobile pedestrian crossing sign",
-    "motorcycle", "motorcyclist", "official signaler", "pedestrian", "railed vehicle", "regular vehicle", "school bus",
-    "sign", "stop sign", "stroller", "traffic light trailer", "truck", "truck cab", "vehicular trailer", "wheelchair",
+    "none", "animal", "articulated "
+    "bus", "bicycle", "bicyclist", "bollard", "box truck", "bus", "construction barrel",
+    "construction cone", "dog", "large vehicle", "message board trailer", "mobile pedestrian "
+    "crossing sign",
+    "motorcycle", "motorcyclist", "official "
+    "signaler", "pedestrian", "railed vehicle", "regular vehicle", "school bus",
+    "sign", "stop sign", "stroller", "traffic light "
+    "trailer", "truck", "truck cab", "vehicular trailer", "wheelchair",
     "wheeled device", "wheeled rider",
 )  # fmt: skip
 CLASS_NAMES = dict(enumerate(CATEGORIES))
 LIDARS = ("up_lidar", "down_lidar")  # lasers 0 to 31, and 32 to 63
 LASERS = 32
-ORIGIN_STEP = 10_000_000  # nanoseconds; rays within a step share an origin, so that methods can group them
+ORIGIN_STEP = (
+    10_000_000  # nanoseconds; rays within a step share an origin, so that methods can group them
+)
 MAX_POSE_GAP = 50_000_000  # nanoseconds between a sweep and its pose
 _POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 _SWEEP_COLUMNS = ("x", "y", "z", "laser_number", "offset_ns")
-_TEXT, _INTEGERS = ("track_uuid", "category", "sensor_name"), ("timestamp_ns", "offset_ns", "laser_number")
+_TEXT = ("track_uuid", "category", "sensor_name")
+_INTEGERS = ("timestamp_ns", "offset_ns", "laser_number")
 _LONGEST_SWEEP = 10**10  # nanoseconds
 _LARGEST = 1e9  # metres, of positions and sizes
-_BOX_COLUMNS = ("timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m", *_POSE_COLUMNS)
+_BOX_COLUMNS = (
+    "timestamp_ns",
+    "track_uuid",
+    "category",
+    "length_m",
+    "width_m",
+    "height_m",
+    *_POSE_COLUMNS,
+)
 
 
 @dataclass(frozen=True)
@@ -63,12 +86,19 @@ class EgoPoses:
         nearest = int(np.argmin(np.abs(self.stamps - stamp)))
         if (gap := abs(int(self.stamps[nearest]) - stamp)) > MAX_POSE_GAP:
             problem = f"no pose near {stamp} ns: the nearest is {gap / 1e9:.3f} s away"
-            raise DataError(self.path, problem, hint="The poses must cover all sweeps and boxes. Copy the file again")
+            raise DataError(
+                self.path,
+                problem,
+                hint="The poses must cover all sweeps and boxes. Copy the file again",
+            )
         pose: F64 = self.T_world_ego[nearest]
         return pose
 
     def positions(self, mounts: F64, stamps: I64) -> F64:
-        """Positions of (M, 3) mounts on the car at (S,) times: (M, S, 3) float64, metres, world frame."""
+        """Positions of (M, 3) mounts on the car at (S,) times.
+
+        (M, S, 3) float64, metres, world frame.
+        """
         times = (stamps - self.stamps[0]).astype(np.float64)
         pose_times = (self.stamps - self.stamps[0]).astype(np.float64)
         out = np.empty((len(mounts), len(stamps), 3))
@@ -83,12 +113,15 @@ class EgoPoses:
 class Argoverse2Sequence:
     """A log of the Argoverse 2 sensor data set, or of its lidar data set, which has no boxes.
 
-    The world frame has the axes of the city frame, z up, and its origin at the sensor position of the first sweep. The
-    sensor frame has the position of the upper lidar and the axes of the car. Sweeps are already motion-compensated;
-    each ray starts at the position of its lidar when it fired. In a log with boxes, a sweep without any is unlabelled.
+    The world frame has the axes of the city frame, z up, and its origin at the sensor position of
+    the first sweep. The sensor frame has the position of the upper lidar and the axes of the car.
+    Sweeps are already motion-compensated; each ray starts at the position of its lidar when it
+    fired. In a log with boxes, a sweep without any is unlabelled.
     """
 
-    layout: ClassVar[str] = "LOG/{sensors/lidar/*.feather, city_SE3_egovehicle.feather, annotations.feather}"
+    layout: ClassVar[str] = (
+        "LOG/{sensors/lidar/*.feather, city_SE3_egovehicle.feather, annotations.feather}"
+    )
 
     log: str
     sensor: Sensor
@@ -108,7 +141,8 @@ class Argoverse2Sequence:
         """Open a log.
 
         Raises:
-            DataError: if sweeps, poses or calibration are missing or corrupt, or there are several logs.
+            DataError: if sweeps, poses or calibration are missing or corrupt, or there are several
+                logs.
         """
         found = _logs(path)
         log = only(found[0].parent if found else path, "logs", {log.name: log for log in found})
@@ -127,7 +161,9 @@ class Argoverse2Sequence:
 
     @property
     def name(self) -> str:
-        """``argoverse2_`` and the first 8 characters of the log id, such as ``argoverse2_7fab2350``."""
+        """``argoverse2_`` and the first 8 characters of the log id, such as
+        ``argoverse2_7fab2350``.
+        """
         return f"argoverse2_{self.log[:8]}"
 
     @property
@@ -138,7 +174,9 @@ class Argoverse2Sequence:
     @property
     def facts(self) -> dict[str, str]:
         """Number of objects with boxes."""
-        return track_facts({box.track for boxes in (self.boxes or {}).values() for box in boxes}, self.moving)
+        return track_facts(
+            {box.track for boxes in (self.boxes or {}).values() for box in boxes}, self.moving
+        )
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -148,8 +186,12 @@ class Argoverse2Sequence:
         return list(self.scans.values())[index] if 0 <= index < len(self) else None
 
     def attributes(self, position: int) -> Attributes:
-        """Intensity, number of the laser, and offset of the time from that of the sweep, nanoseconds."""
-        sweep = _read(list(self.scans.values())[position], ("intensity", "laser_number", "offset_ns"))
+        """Intensity, number of the laser, and offset of the time from that of the sweep,
+        nanoseconds.
+        """
+        sweep = _read(
+            list(self.scans.values())[position], ("intensity", "laser_number", "offset_ns")
+        )
         return dict(sweep)
 
     def __getitem__(self, position: int) -> Scan:
@@ -181,18 +223,28 @@ class Argoverse2Sequence:
         if not len(step):
             return np.empty((0, 3))
         steps = np.arange(step.min(), step.max() + 1)
-        positions = self.poses.positions(self.mounts, stamp + steps * ORIGIN_STEP + ORIGIN_STEP // 2)
+        positions = self.poses.positions(
+            self.mounts, stamp + steps * ORIGIN_STEP + ORIGIN_STEP // 2
+        )
         lidar = (sweep["laser_number"] >= LASERS).astype(np.intp)
         origins: F64 = positions[lidar, step - steps[0]]
         return origins
 
 
 def _read(path: Path, columns: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """Columns of a table; DataError as ``read_feather``, and for times that do not fit into a sweep."""
+    """Columns of a table; DataError as ``read_feather``, and for times that do not fit into a
+    sweep.
+    """
     table = read_feather(path, columns, _TEXT, _INTEGERS)
     offsets = table.get("offset_ns")
-    if offsets is not None and len(offsets) and not -_LONGEST_SWEEP < offsets.min() <= offsets.max() < _LONGEST_SWEEP:
-        problem = f"column offset_ns spans {offsets.min()} to {offsets.max()} ns, longer than a sweep"
+    if (
+        offsets is not None
+        and len(offsets)
+        and not -_LONGEST_SWEEP < offsets.min() <= offsets.max() < _LONGEST_SWEEP
+    ):
+        problem = (
+            f"column offset_ns spans {offsets.min()} to {offsets.max()} ns, longer than a sweep"
+        )
         raise DataError(path, problem, hint="Copy the file again")
     return table
 
@@ -220,11 +272,19 @@ def _transforms(path: Path, table: dict[str, NDArray[Any]]) -> F64:
             out[row, :3, :3] = geometry.matrix(quaternion)
         except ValueError:
             raise DataError(
-                path, "the quaternion is not a rotation", at=f"row {row}", hint="Copy the file again"
+                path,
+                "the quaternion is not a rotation",
+                at=f"row {row}",
+                hint="Copy the file again",
             ) from None
     if not (valid := np.abs(rows[:, 4:]) < _LARGEST).all():
         row = int(np.flatnonzero(~valid.all(1))[0])
-        raise DataError(path, "the position is not finite, or too far", at=f"row {row}", hint="Copy the file again")
+        raise DataError(
+            path,
+            "the position is not finite, or too far",
+            at=f"row {row}",
+            hint="Copy the file again",
+        )
     return out
 
 
@@ -233,7 +293,9 @@ def _poses(path: Path) -> EgoPoses:
     if not len(table["timestamp_ns"]):
         raise DataError(path, "contains no poses", hint="Copy the file again")
     order = np.argsort(table["timestamp_ns"], kind="stable")
-    return EgoPoses(path, table["timestamp_ns"][order].astype(np.int64), _transforms(path, table)[order])
+    return EgoPoses(
+        path, table["timestamp_ns"][order].astype(np.int64), _transforms(path, table)[order]
+    )
 
 
 def _mounts(path: Path) -> F64:
@@ -250,15 +312,36 @@ def _boxes(path: Path) -> dict[int, list[OrientedBox]]:
     """The boxes of each sweep by its stamp, in order of time."""
     table = _read(path, _BOX_COLUMNS)
     numbers = {track: number for number, track in enumerate(sorted(set(table["track_uuid"])), 1)}
-    class_ids = {category.replace(" ", "_").upper(): number for number, category in enumerate(CATEGORIES)}
-    sizes = np.column_stack([table[name].astype(np.float64) for name in ("length_m", "width_m", "height_m")])
+    class_ids = {
+        category.replace(" ", "_").upper(): number for number, category in enumerate(CATEGORIES)
+    }
+    sizes = np.column_stack(
+        [table[name].astype(np.float64) for name in ("length_m", "width_m", "height_m")]
+    )
     if not (valid := np.abs(sizes) < _LARGEST).all():
         row = int(np.flatnonzero(~valid.all(1))[0])
-        raise DataError(path, "the size is not finite, or too large", at=f"row {row}", hint="Copy the file again")
+        raise DataError(
+            path,
+            "the size is not finite, or too large",
+            at=f"row {row}",
+            hint="Copy the file again",
+        )
     T_ego_box = _transforms(path, table)
-    T_ego_box[:, :3, 3] -= T_ego_box[:, :3, 2] * sizes[:, 2:] / 2  # from the centre of the box to its bottom face
-    boxes: dict[int, list[OrientedBox]] = {int(stamp): [] for stamp in np.unique(table["timestamp_ns"])}
-    rows = zip(table["timestamp_ns"].tolist(), table["track_uuid"], table["category"], T_ego_box, sizes, strict=True)
+    # from the centre of the box to its bottom face
+    T_ego_box[:, :3, 3] -= T_ego_box[:, :3, 2] * sizes[:, 2:] / 2
+    boxes: dict[int, list[OrientedBox]] = {
+        int(stamp): [] for stamp in np.unique(table["timestamp_ns"])
+    }
+    rows = zip(
+        table["timestamp_ns"].tolist(),
+        table["track_uuid"],
+        table["category"],
+        T_ego_box,
+        sizes,
+        strict=True,
+    )
     for stamp, track, category, T, size in rows:
-        boxes[stamp].append(OrientedBox(numbers[track], class_ids.get(category, 0), T, tuple(size.tolist())))
+        boxes[stamp].append(
+            OrientedBox(numbers[track], class_ids.get(category, 0), T, tuple(size.tolist()))
+        )
     return boxes

@@ -1,4 +1,7 @@
-"""The layout of the public benchmark (Zhang et al. 2023): scans in the world frame, their poses in VIEWPOINT."""
+"""The layout of the public benchmark (Zhang et al. 2023).
+
+Scans in the world frame, their poses in VIEWPOINT.
+"""
 
 from __future__ import annotations
 
@@ -33,13 +36,15 @@ _POSE_HINT = (
 class BenchmarkSequence:
     """A folder with ``pcd/*.pcd`` and, if there is ground truth, ``gt_cloud.pcd``.
 
-    ``sequence.toml`` is optional; it sets ``name``, ``sensor``, ``rate`` (sweeps per second, which defines the stamps)
-    and a table ``classes`` with the name of each class number.
-    Points are passed on unchanged, with duplicates and NaN. If scans have a field ``lidar``, rays start at the mount of
-    that lidar on the sensor.
+    ``sequence.toml`` is optional; it sets ``name``, ``sensor``, ``rate`` (sweeps per second, which
+    defines the stamps) and a table ``classes`` with the name of each class number. Points are
+    passed on unchanged, with duplicates and NaN. If scans have a field ``lidar``, rays start at the
+    mount of that lidar on the sensor.
     """
 
-    layout: ClassVar[str] = "pcd/*.pcd in the world frame with the sensor's pose in VIEWPOINT, gt_cloud.pcd"
+    layout: ClassVar[str] = (
+        "pcd/*.pcd in the world frame with the sensor's pose in VIEWPOINT, gt_cloud.pcd"
+    )
 
     name: str
     sensor: Sensor
@@ -51,7 +56,9 @@ class BenchmarkSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path contains ``pcd/*.pcd``, or is that folder of scans and has no pose file."""
+        """Whether a path contains ``pcd/*.pcd``, or is that folder of scans and has
+        no pose file.
+        """
         is_scan_folder = any(file.stem.isdigit() for file in path.glob("*[0-9].pcd"))
         return has_files(path / "pcd", "*.pcd") or (is_scan_folder and find_poses(path) is None)
 
@@ -70,8 +77,14 @@ class BenchmarkSequence:
         facts = _read_facts(root / "sequence.toml")
         sensor = load_sensor(facts["sensor"]) if "sensor" in facts else Sensor()
         gt = root / "gt_cloud.pcd"
-        truth = GroundTruth(gt, counts, lambda position: read_pcd(files[position]).xyz) if gt.exists() else None
-        return cls(facts.get("name", root.name), sensor, facts.get("rate"), scans, truth, facts["classes"])
+        truth = (
+            GroundTruth(gt, counts, lambda position: read_pcd(files[position]).xyz)
+            if gt.exists()
+            else None
+        )
+        return cls(
+            facts.get("name", root.name), sensor, facts.get("rate"), scans, truth, facts["classes"]
+        )
 
     @property
     def has_labels(self) -> bool:
@@ -80,7 +93,10 @@ class BenchmarkSequence:
 
     @property
     def facts(self) -> dict[str, str]:
-        """How the ground truth is matched. Unmatched points are counted over the frames read so far."""
+        """How the ground truth is matched.
+
+        Unmatched points are counted over the frames read so far.
+        """
         if self.truth is None:
             return {}
         source = "rows of gt_cloud.pcd" if self.truth.by_index else "coordinates in gt_cloud.pcd"
@@ -115,7 +131,9 @@ class BenchmarkSequence:
             T_world_sensor[:3, 3] -= self.origin
         return Scan(
             index=index,
-            points=single(coordinates(columns_of(pcd.rows)) - self.origin) if self.origin.any() else pcd.xyz,
+            points=single(coordinates(columns_of(pcd.rows)) - self.origin)
+            if self.origin.any()
+            else pcd.xyz,
             T_world_sensor=T_world_sensor,
             stamp_ns=round(index / self.rate * 1e9) if self.rate else None,
             labels=truth.labels if truth else None,
@@ -131,8 +149,15 @@ class BenchmarkSequence:
             return T_world_sensor[None, :3, 3]
         lidar = pcd["lidar"].astype(np.int64)
         if len(lidar) and not 0 <= lidar.min() <= lidar.max() < len(self.sensor.mounts):
-            problem = f"a point has lidar {lidar.max()}, but {self.sensor.title} has {len(self.sensor.mounts)} lidars"
-            raise DataError(pcd.path, problem, hint="Number lidars from 0, or set another sensor in sequence.toml")
+            problem = (
+                f"a point has lidar {lidar.max()}, but {self.sensor.title} has "
+                f"{len(self.sensor.mounts)} lidars"
+            )
+            raise DataError(
+                pcd.path,
+                problem,
+                hint="Number lidars from 0, or set another sensor in sequence.toml",
+            )
         mounts = np.array([mount[:3] for mount in self.sensor.mounts], np.float64)
         return geometry.apply(T_world_sensor, mounts)[lidar]
 
@@ -145,8 +170,13 @@ def _validated_count(path: Path) -> int:
     _ = pcd.xyz
     needed = header.offset + header.points * header.row.itemsize
     if header.data == "binary" and path.stat().st_size < needed:
-        problem = f"file is too short: {header.points} points need {needed} bytes, it has {path.stat().st_size}"
-        raise DataError(path, problem, at=f"byte {path.stat().st_size}", hint="Write or copy the file again")
+        problem = (
+            f"file is too short: {header.points} points need {needed} bytes, it has "
+            f"{path.stat().st_size}"
+        )
+        raise DataError(
+            path, problem, at=f"byte {path.stat().st_size}", hint="Write or copy the file again"
+        )
     return header.points
 
 
@@ -170,7 +200,9 @@ def _read_facts(path: Path) -> Mapping[str, Any]:
     if not facts.get("rate", 1.0) > 0:
         raise DataError(path, f"invalid rate = {facts['rate']}, must be positive", hint=hint)
     if "name" in facts and facts["name"] != (Path(facts["name"]).name or None):
-        raise DataError(path, f"invalid name = {facts['name']!r}, must be usable as a folder name", hint=hint)
+        raise DataError(
+            path, f"invalid name = {facts['name']!r}, must be usable as a folder name", hint=hint
+        )
     try:
         classes = {int(number): str(name) for number, name in facts.get("classes", {}).items()}
     except (AttributeError, ValueError):

@@ -24,8 +24,8 @@ class OrientedBox:
     Attributes:
         track: number of the object, from 1; the same in all frames.
         class_id: number of its class, from 1; 0 if the data set's class is not mapped.
-        T_frame_box: (4, 4) float64, metres. The box frame has its origin at the centre of the bottom face, x along the
-            length, z up; the other frame is the frame of the points.
+        T_frame_box: (4, 4) float64, metres. The box frame has its origin at the centre of the
+            bottom face, x along the length, z up; the other frame is the frame of the points.
         size: length, width, height, metres.
         extrapolated: not annotated in this frame; if it moves, its points are unlabelled.
     """
@@ -37,11 +37,14 @@ class OrientedBox:
     extrapolated: bool = False
 
 
-def moving_tracks(sightings: Iterable[tuple[int, float, F64]], speed: float = MIN_SPEED) -> frozenset[int]:
+def moving_tracks(
+    sightings: Iterable[tuple[int, float, F64]], speed: float = MIN_SPEED
+) -> frozenset[int]:
     """Tracks whose mean speed from their first to their last position exceeds ``speed``.
 
     Args:
-        sightings: track, time in seconds, and position (3,) float64, metres, world frame; in order of time.
+        sightings: track, time in seconds, and position (3,) float64, metres, world frame; in order
+            of time.
         speed: metres per second.
     """
     first: dict[int, tuple[float, F64]] = {}
@@ -59,7 +62,9 @@ def moving_tracks(sightings: Iterable[tuple[int, float, F64]], speed: float = MI
 
 def track_facts(tracks: Collection[int], moving: Collection[int]) -> dict[str, str]:
     """Number of tracks of a sequence, for ``dynaviz info``."""
-    return {"objects with boxes": f"{len(tracks):,}, of which {len(moving):,} move"} if tracks else {}
+    return (
+        {"objects with boxes": f"{len(tracks):,}, of which {len(moving):,} move"} if tracks else {}
+    )
 
 
 def truth_from_boxes(
@@ -71,16 +76,20 @@ def truth_from_boxes(
         points: (N, 3) float64, metres, in the frame of the boxes; non-finite points are in no box.
         boxes: all objects of the frame, moving or not.
         moving: tracks that move.
-        annotated: (N,) bool, points in the annotated region; all others are unlabelled. Default: all points.
+        annotated: (N,) bool, points in the annotated region; all others are unlabelled. Default:
+            all points.
     """
     n = len(points)
-    classes, instances = np.zeros(n, np.uint16), np.zeros(n, np.int32)
-    border, dynamic = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    classes = np.zeros(n, np.uint16)
+    instances = np.zeros(n, np.int32)
+    border = np.zeros(n, np.bool_)
+    dynamic = np.zeros(n, np.bool_)
     for box in boxes:
         rows, local = _candidates(points, box)
         inside = rows[_inside(local, box, MARGIN, GROUND)]
         if box.class_id:
-            classes[inside], instances[inside] = box.class_id, box.track
+            classes[inside] = box.class_id
+            instances[inside] = box.track
         if box.track in moving:
             border[rows[_inside(local, box, BORDER)]] = True
             if not box.extrapolated:
@@ -94,18 +103,25 @@ def truth_from_boxes(
 
 
 def _candidates(points: F64, box: OrientedBox) -> tuple[Intp, F64]:
-    """Indices of points that may lie in a box or its border, and their (rows, 3) coordinates in the box frame."""
-    origin, axes = box.T_frame_box[:3, 3], box.T_frame_box[:3, :3]
+    """Indices of points that may lie in a box or its border, and their (rows, 3) coordinates in the
+    box frame.
+    """
+    origin = box.T_frame_box[:3, 3]
+    axes = box.T_frame_box[:3, :3]
     reach = sum(box.size) + 2 * BORDER  # beyond any corner
     rows = np.flatnonzero(np.abs(points[:, 0] - origin[0]) < reach)
     rows = rows[np.abs(points[rows, 1] - origin[1]) < reach]
     with np.errstate(over="ignore", invalid="ignore"):  # such points are in no box
         x, y, z = (points[rows, axis] - origin[axis] for axis in range(3))
-        return rows, np.stack([axes[0, k] * x + axes[1, k] * y + axes[2, k] * z for k in range(3)], axis=1)
+        return rows, np.stack(
+            [axes[0, k] * x + axes[1, k] * y + axes[2, k] * z for k in range(3)], axis=1
+        )
 
 
 def _inside(local: F64, box: OrientedBox, margin: float, ground: float = 0.0) -> Bool:
-    """Mask of points, in the box frame, inside the box enlarged by a margin, without its lowest ``ground`` metres."""
+    """Mask of points, in the box frame, inside the box enlarged by a margin, without its lowest
+    ``ground`` metres.
+    """
     length, width, height = box.size
     along, across, up = local.T
     inside: Bool = (np.abs(along) < length / 2 + margin) & (np.abs(across) < width / 2 + margin)

@@ -28,9 +28,10 @@ class Conversion:
         frames, points: number of frames and points.
         unlabelled: points without a label in a sequence that has labels.
         moved_rays: points whose ray origin the layout cannot store.
-        pose_error: largest absolute difference between an entry of a pose and of the pose read back; metres for
-            positions.
-        exact: all poses and ray origins, and hence the digest of the sequence, are read back bit for bit.
+        pose_error: largest absolute difference between an entry of a pose and of the pose read
+            back; metres for positions.
+        exact: all poses and ray origins, and hence the digest of the sequence, are read back bit
+            for bit.
     """
 
     folder: Path
@@ -46,17 +47,21 @@ class Conversion:
         remarks = []
         if self.unlabelled:
             remarks.append(
-                f"{self.unlabelled:,} of {self.points:,} points are unlabelled (255 in gt_cloud.pcd). dynaviz "
-                "does not count them; the benchmark's own tools treat every value except 0 as dynamic"
+                f"{self.unlabelled:,} of {self.points:,} points are unlabelled (255 in "
+                "gt_cloud.pcd). dynaviz "
+                "does not count them; the benchmark's own tools treat every value except 0 as "
+                "dynamic"
             )
         if self.moved_rays:
             remarks.append(
-                f"the rays of {self.moved_rays:,} points do not start at the sensor position, which the layout cannot "
+                f"the rays of {self.moved_rays:,} points do not start at the sensor position, "
+                "which the layout cannot "
                 "store; results of methods that cast rays differ slightly"
             )
         if self.pose_error > 1e-6:
             remarks.append(
-                f"the poses are not exactly rigid: the poses read back differ by up to {self.pose_error:.1g}"
+                "the poses are not exactly rigid: the poses read back differ by up to "
+                f"{self.pose_error:.1g}"
             )
         return remarks
 
@@ -66,7 +71,8 @@ def convert(
     out: str | os.PathLike[str],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Conversion:
-    """Write a sequence in the layout of the public benchmark (``dynaviz.io.benchmark``), one frame in memory at a time.
+    """Write a sequence in the layout of the public benchmark (``dynaviz.io.benchmark``), one frame
+    in memory at a time.
 
     Args:
         sequence: any sequence; frames keep their numbers.
@@ -85,7 +91,8 @@ def convert(
         for scan in stream(sequence):
             if indices and scan.index <= indices[-1]:
                 raise UsageError(
-                    f"{sequence.name}: frame {scan.index} comes after {indices[-1]}. Give --frames in increasing order"
+                    f"{sequence.name}: frame {scan.index} comes after {indices[-1]}. Give --frames "
+                    "in increasing order"
                 )
             lidar = _lidar(scan, sequence.sensor)
             writer.append(scan.index, scan.points, scan.T_world_sensor, lidar=lidar)
@@ -101,7 +108,12 @@ def convert(
             stamps.append(scan.stamp_ns)
             progress(len(indices), len(sequence))
         sensor = sequence.sensor.name if sequence.sensor.name in sensor_names() else None
-        facts = {"name": sequence.name, "sensor": sensor, "frames": len(indices), "rate": _rate(indices, stamps)}
+        facts = {
+            "name": sequence.name,
+            "sensor": sensor,
+            "frames": len(indices),
+            "rate": _rate(indices, stamps),
+        }
         writer.describe(facts, dict(sorted(names.items())))
     return done
 
@@ -124,9 +136,13 @@ def _lidar(scan: Scan, sensor: Sensor) -> U8 | None:
     """(N,) uint8, the sensor mount at which each ray starts; None if any ray starts elsewhere."""
     if len(scan.origins) == 1 or not sensor.mounts:
         return None
-    mounts = geometry.apply(scan.T_world_sensor, np.array([mount[:3] for mount in sensor.mounts], np.float64))
+    mounts = geometry.apply(
+        scan.T_world_sensor, np.array([mount[:3] for mount in sensor.mounts], np.float64)
+    )
     distances: F64 = np.stack([np.abs(scan.origins - mount).max(1) for mount in mounts], axis=1)
-    return distances.argmin(1).astype(np.uint8) if (distances.min(1) < MOUNT_TOLERANCE).all() else None
+    return (
+        distances.argmin(1).astype(np.uint8) if (distances.min(1) < MOUNT_TOLERANCE).all() else None
+    )
 
 
 def _rate(indices: list[int], stamps: list[int | None]) -> float | None:

@@ -1,4 +1,7 @@
-"""DOALS (Pfreundschuh et al. 2021): an OS1-64 carried through crowds, with ten labelled scans per sequence."""
+"""DOALS (Pfreundschuh et al. 2021).
+
+An OS1-64 carried through crowds, with ten labelled scans per sequence.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +24,18 @@ from dynaviz.sources.datasets.scan_folder import ScanFolderSequence
 
 TOPIC = "/os1_cloud_node/points"
 INDICES = "indices.csv"
-_HINT = "Each line is the stamp of a scan in nanoseconds, followed by the indices of its dynamic points"
+_HINT = (
+    "Each line is the stamp of a scan in nanoseconds, followed by the indices of its dynamic points"
+)
 
 
 @dataclass(frozen=True)
 class DoalsSequence:
-    """A sequence of DOALS: a bag, or a folder of scans named by their stamps, next to ``indices.csv``.
+    """A sequence of DOALS: a bag, or a folder of scans named by their stamps, next to
+    ``indices.csv``.
 
-    Each line of ``indices.csv`` is the stamp of a labelled scan in nanoseconds and the indices of its dynamic points;
-    its other points are static. All other scans are unlabelled.
+    Each line of ``indices.csv`` is the stamp of a labelled scan in nanoseconds and the indices of
+    its dynamic points; its other points are static. All other scans are unlabelled.
     """
 
     layout: ClassVar[str] = "indices.csv with a bag, or with a folder of scans named by stamp"
@@ -47,28 +53,45 @@ class DoalsSequence:
 
     @classmethod
     def open(
-        cls, path: Path, *, poses: str | None = None, points_in: str | None = None, deskew: bool | None = None
+        cls,
+        path: Path,
+        *,
+        poses: str | None = None,
+        points_in: str | None = None,
+        deskew: bool | None = None,
     ) -> Self:
-        """Open a sequence; the options are those of bags, the first two also those of folders of scans.
+        """Open a sequence; the options are those of bags, the first two also those of folders of
+        scans.
 
         Raises:
-            DataError: if scans, poses or labels are missing or invalid, or no scan has a stamp of ``indices.csv``.
+            DataError: if scans, poses or labels are missing or invalid, or no scan has a stamp of
+                ``indices.csv``.
         """
         folder = path.parent if path.suffix == ".bag" else path
         bags = [path] if path != folder else sorted(folder.glob("*.bag"))
         if len(bags) > 1:
-            raise DataError(folder, f"contains several bags: {bags[0].name}, {bags[1].name}", hint="Give one of them")
+            raise DataError(
+                folder,
+                f"contains several bags: {bags[0].name}, {bags[1].name}",
+                hint="Give one of them",
+            )
         inner: RosBagSequence | ScanFolderSequence
         if bags:
-            inner = RosBagSequence.open(_with_topic(bags[0]), poses=poses, points_in=points_in, deskew=deskew)
+            inner = RosBagSequence.open(
+                _with_topic(bags[0]), poses=poses, points_in=points_in, deskew=deskew
+            )
             stamps = inner.clouds.stamps[inner.positions]
         else:
             inner = ScanFolderSequence.open(folder, poses=poses, points_in=points_in)
-            stamps = inner.matched.stamps if inner.matched.stamps is not None else np.empty(0, np.int64)
+            stamps = (
+                inner.matched.stamps if inner.matched.stamps is not None else np.empty(0, np.int64)
+            )
         dynamic = _read_indices(folder / INDICES)
         if not np.isin(list(dynamic), stamps).any():
             hint = "Name the scans by their stamps in nanoseconds, such as 1582196327123456789.bin"
-            raise DataError(folder / INDICES, "none of its stamps is the stamp of a scan", hint=hint)
+            raise DataError(
+                folder / INDICES, "none of its stamps is the stamp of a scan", hint=hint
+            )
         return cls(folder, inner, dynamic, load_sensor("os1_64"))
 
     @property
@@ -104,8 +127,15 @@ class DoalsSequence:
         moving = None if scan.stamp_ns is None else self.dynamic.get(scan.stamp_ns)
         if moving is not None:
             if len(moving) and not 0 <= moving.min() <= moving.max() < len(scan):
-                problem = f"point {moving.max()} of the scan at {scan.stamp_ns} ns, which has {len(scan)} points"
-                raise DataError(self.folder / INDICES, problem, hint="Use the scans as published, in their order")
+                problem = (
+                    f"point {moving.max()} of the scan at {scan.stamp_ns} ns, which has "
+                    f"{len(scan)} points"
+                )
+                raise DataError(
+                    self.folder / INDICES,
+                    problem,
+                    hint="Use the scans as published, in their order",
+                )
             labels[:] = Label.STATIC
             labels[moving] = Label.DYNAMIC
             labels[~np.isfinite(scan.points).all(1)] = Label.UNLABELLED  # beams without a return

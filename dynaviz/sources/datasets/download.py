@@ -65,8 +65,8 @@ def download(
 ) -> Path:
     """Fetch, verify and unpack a sequence.
 
-    An interrupted download is kept in ``.NAME.zip.part`` and resumed by the next attempt. Size and MD5 are checked
-    against the Zenodo record.
+    An interrupted download is kept in ``.NAME.zip.part`` and resumed by the next attempt. Size and
+    MD5 are checked against the Zenodo record.
 
     Args:
         name: one of ``SEQUENCES``.
@@ -86,19 +86,26 @@ def download(
         raise UsageError(f"unknown sequence '{name}'. Available: {available}")
     if not re.match(r"https?://[^/]", base):
         raise UsageError(
-            f"DYNAVIZ_DOWNLOAD_URL={base}: give the address of a folder that contains {name}.zip, such as {BASE}"
+            f"DYNAVIZ_DOWNLOAD_URL={base}: give the address of a folder that contains {name}.zip, "
+            f"such as {BASE}"
         )
-    out, url = Path(out), f"{base.rstrip('/')}/{name}.zip"
-    folder, part = out / name, out / f".{name}.zip.part"
+    out = Path(out)
+    url = f"{base.rstrip('/')}/{name}.zip"
+    folder = out / name
+    part = out / f".{name}.zip.part"
     if os.path.lexists(folder):
-        raise DataError(folder, "already exists", hint="Use it, remove it, or choose another folder")
+        raise DataError(
+            folder, "already exists", hint="Use it, remove it, or choose another folder"
+        )
     published = _published_facts(base, name)
     try:
         out.mkdir(parents=True, exist_ok=True)
         fetch(url, part, lambda done, total: progress("fetch", done, total), SEQUENCES[name].mb)
     except BaseException as error:
         if part.exists() and not isinstance(error, Exception):
-            error.add_note(f"The partial download is kept in {part}. Run the same command to resume")
+            error.add_note(
+                f"The partial download is kept in {part}. Run the same command to resume"
+            )
         if isinstance(error, OSError):
             hint = "Free disk space or choose another folder"
             raise DataError(out, f"cannot be written ({error.strerror})", hint=hint) from None
@@ -114,7 +121,9 @@ def _published_facts(base: str, name: str) -> dict[str, Any]:
     match = re.match(r"(https?://[^/]+)/records/(\d+)/files", base)
     if match is None:
         return {}
-    request = urllib.request.Request(f"{match[1]}/api/records/{match[2]}", headers={"User-Agent": "dynaviz"})
+    request = urllib.request.Request(
+        f"{match[1]}/api/records/{match[2]}", headers={"User-Agent": "dynaviz"}
+    )
     try:
         with urllib.request.urlopen(request, timeout=TIMEOUT) as reply:
             files = {file["key"]: file for file in json.load(reply)["files"]}
@@ -125,7 +134,8 @@ def _published_facts(base: str, name: str) -> dict[str, Any]:
 
 
 def _verify(url: str, part: Path, published: Mapping[str, Any], base: str) -> None:
-    """Compare size and MD5 of an archive with the published ones, and remove an archive that differs.
+    """Compare size and MD5 of an archive with the published ones, and remove an archive that
+    differs.
 
     Raises:
         DataError: if they differ.
@@ -142,26 +152,44 @@ def _verify(url: str, part: Path, published: Mapping[str, Any], base: str) -> No
             raise DataError(url, problem, hint=f"The file was removed. {HINT}")
 
 
-def _unpack(url: str, part: Path, folder: Path, remote: RemoteFile, progress: Callable[[int, int], None]) -> None:
+def _unpack(
+    url: str, part: Path, folder: Path, remote: RemoteFile, progress: Callable[[int, int], None]
+) -> None:
     """Unpack ``pcd`` and the files next to it from an archive into the folder of the sequence.
 
     Raises:
-        DataError: if the archive is corrupt, has no scans or unsafe paths, or needs more space than is free.
+        DataError: if the archive is corrupt, has no scans or unsafe paths, or needs more space than
+            is free.
     """
     with _zip_errors(url, part), zipfile.ZipFile(part) as archive:
-        members = [info for info in archive.infolist() if not (info.is_dir() or _MACOS_FILES.match(info.filename))]
+        members = [
+            info
+            for info in archive.infolist()
+            if not (info.is_dir() or _MACOS_FILES.match(info.filename))
+        ]
         for info in members:
-            if PurePosixPath(info.filename).is_absolute() or {"..", ""} & set(re.split(r"[/\\]", info.filename)):
-                raise DataError(url, f"unsafe path {info.filename!r} in the archive", hint=f"Remove {part}")
+            if PurePosixPath(info.filename).is_absolute() or {"..", ""} & set(
+                re.split(r"[/\\]", info.filename)
+            ):
+                raise DataError(
+                    url, f"unsafe path {info.filename!r} in the archive", hint=f"Remove {part}"
+                )
         scans = (re.match(r"((?:.*/)?)pcd/[^/]+\.pcd$", info.filename) for info in members)
         first = next((scan for scan in scans if scan), None)
         if first is None:
-            raise DataError(url, "the archive contains no pcd/*.pcd", hint=f"Inspect the archive and remove {part}")
+            raise DataError(
+                url,
+                "the archive contains no pcd/*.pcd",
+                hint=f"Inspect the archive and remove {part}",
+            )
         root = first[1]
-        needed, free = sum(info.file_size for info in members), shutil.disk_usage(part.parent).free
+        needed = sum(info.file_size for info in members)
+        free = shutil.disk_usage(part.parent).free
         if needed > free:
             problem = f"needs {needed / 1e9:.1f} GB unpacked, but {free / 1e9:.1f} GB are free"
-            raise DataError(folder, problem, hint="Free disk space and run again; the archive is kept")
+            raise DataError(
+                folder, problem, hint="Free disk space and run again; the archive is kept"
+            )
         with atomic_folder(folder) as temporary:
             for done, info in enumerate(members, 1):
                 if info.filename.startswith(root):
@@ -177,18 +205,32 @@ def _unpack(url: str, part: Path, folder: Path, remote: RemoteFile, progress: Ca
 
 @contextlib.contextmanager
 def _zip_errors(url: str, part: Path) -> Iterator[None]:
-    """Turn the errors that zipfile raises for corrupt archives into DataError, and remove the archive."""
+    """Turn the errors that zipfile raises for corrupt archives into DataError, and remove the
+    archive.
+    """
     try:
         yield
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        NotImplementedError,
+        RuntimeError,
+        ValueError,
+    ) as error:
         with open(part, "rb") as file:
             head = _describe_head(file)
         remove(part)
-        problem = f"truncated or corrupt zip archive ({str(error)[:80] or type(error).__name__}{head})"
+        problem = (
+            f"truncated or corrupt zip archive ({str(error)[:80] or type(error).__name__}{head})"
+        )
         raise DataError(url, problem, hint=f"The file was removed. {HINT}") from None
 
 
 def _describe_head(file: IO[bytes]) -> str:
-    """The first bytes of a file that is not an archive; often it is a page with an error message."""
+    """The first bytes of a file that is not an archive.
+
+    Often it is a page with an error message.
+    """
     head = file.read(40)
     return "" if head.startswith(b"PK") else f"; it starts with {head.decode('latin-1')!r}"

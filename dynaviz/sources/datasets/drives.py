@@ -12,7 +12,14 @@ from itertools import accumulate
 import numpy as np
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.attributes import Attributes, Unposed, attributes_of, coordinates_of, origin_of, unposed_of
+from dynaviz.contracts.attributes import (
+    Attributes,
+    Unposed,
+    attributes_of,
+    coordinates_of,
+    origin_of,
+    unposed_of,
+)
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
@@ -73,7 +80,9 @@ class Joined:
 
 @dataclass(frozen=True)
 class Drives(Joined):
-    """Drives one after the other, in one world frame: a car that stood in one and is gone in another is found.
+    """Drives one after the other, in one world frame.
+
+    A car that stood in one and is gone in another is found.
 
     Frames are numbered through, and so are objects. All drives have the sensor of the first.
     """
@@ -87,7 +96,9 @@ class Drives(Joined):
         """
         names = {drive.sensor.name for drive in drives}
         if len(names) > 1:
-            raise UsageError(f"drives with different sensors cannot be joined: {', '.join(sorted(names))}")
+            raise UsageError(
+                f"drives with different sensors cannot be joined: {', '.join(sorted(names))}"
+            )
         return cls(tuple(drives))
 
     @property
@@ -96,10 +107,13 @@ class Drives(Joined):
         return "+".join(drive.name for drive in self.parts)
 
     def __getitem__(self, position: int) -> Scan:
-        scan, (drive, _) = super().__getitem__(position), self.place(position)
+        scan = super().__getitem__(position)
+        (drive, _) = self.place(position)
         if scan.instances is None or not drive:
             return scan
-        instances = np.where(scan.instances > 0, scan.instances + drive * OBJECTS, scan.instances).astype(np.int32)
+        instances = np.where(
+            scan.instances > 0, scan.instances + drive * OBJECTS, scan.instances
+        ).astype(np.int32)
         return dataclasses.replace(scan, instances=instances)
 
     def place(self, position: int) -> tuple[int, int]:

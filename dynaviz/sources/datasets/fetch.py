@@ -19,7 +19,8 @@ MAX_ATTEMPTS = 4  # without a new byte
 RETRY_DELAY = 1.0  # seconds before the second attempt, doubled for each further one
 TIMEOUT = 60.0  # seconds without data
 HINT = "Run the same command again later, or set DYNAVIZ_DOWNLOAD_URL to a mirror"
-_BLOCK, _MB = 1 << 18, 1_000_000
+_BLOCK = 1 << 18
+_MB = 1_000_000
 
 
 def fetch(url: str, part: Path, progress: Callable[[int, int], None], mb: int = 0) -> None:
@@ -34,10 +35,12 @@ def fetch(url: str, part: Path, progress: Callable[[int, int], None], mb: int = 
         mb: the total, used if the server does not send it.
 
     Raises:
-        DataError: if the server does not have the file, or ``MAX_ATTEMPTS`` attempts in a row bring no new byte.
+        DataError: if the server does not have the file, or ``MAX_ATTEMPTS`` attempts in a row bring
+            no new byte.
         OSError: if the file cannot be written.
     """
-    attempts, received = 0, _size(part)
+    attempts = 0
+    received = _size(part)
     while True:
         try:
             return _attempt(url, part, progress, mb)
@@ -45,7 +48,11 @@ def fetch(url: str, part: Path, progress: Callable[[int, int], None], mb: int = 
             attempts = 1 if _size(part) > received else attempts + 1
             received = max(received, _size(part))
             if attempts == MAX_ATTEMPTS:
-                kept = f"after {received / _MB:,.1f} MB, which are kept" if _size(part) else "before the first byte"
+                kept = (
+                    f"after {received / _MB:,.1f} MB, which are kept"
+                    if _size(part)
+                    else "before the first byte"
+                )
                 raise DataError(url, f"download stopped {kept} ({broken})", hint=HINT) from None
         time.sleep(RETRY_DELAY * 2 ** (attempts - 1))
 
@@ -61,8 +68,14 @@ def _attempt(url: str, part: Path, progress: Callable[[int, int], None], mb: int
     if reply is None:
         return
     with reply:
-        if reply.headers.get_content_type() == "text/html":  # how gateways and archives report errors
-            raise DataError(url, "the server sent a web page, not the file", hint="Open the address in a browser")
+        if (
+            reply.headers.get_content_type() == "text/html"
+        ):  # how gateways and archives report errors
+            raise DataError(
+                url,
+                "the server sent a web page, not the file",
+                hint="Open the address in a browser",
+            )
         start, total = _content_range(reply, have)
         with open(part, "r+b" if have else "wb") as file:
             file.seek(start)
@@ -82,12 +95,16 @@ def _attempt(url: str, part: Path, progress: Callable[[int, int], None], mb: int
 
 def _request(url: str, part: Path, have: int) -> Any:
     """The reply to a request from byte ``have`` on; None if the file is complete."""
-    headers = {"User-Agent": "dynaviz", "Accept-Encoding": "identity"} | ({"Range": f"bytes={have}-"} if have else {})
+    headers = {"User-Agent": "dynaviz", "Accept-Encoding": "identity"} | (
+        {"Range": f"bytes={have}-"} if have else {}
+    )
     try:
         return urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=TIMEOUT)
     except urllib.error.HTTPError as error:
         with error:
-            code, reason, span = error.code, error.reason, error.headers.get("Content-Range", "")
+            code = error.code
+            reason = error.reason
+            span = error.headers.get("Content-Range", "")
         if code == 416 and span.endswith(f"/{have}"):
             return None
         if code == 416:  # the local part is longer than the file
@@ -122,7 +139,9 @@ def _read_blocks(reply: Any) -> Iterator[bytes]:
         try:
             block = reply.read(_BLOCK)
         except (OSError, http.client.HTTPException) as error:
-            raise _BrokenDownload(getattr(error, "strerror", None) or type(error).__name__) from None
+            raise _BrokenDownload(
+                getattr(error, "strerror", None) or type(error).__name__
+            ) from None
         if not block:
             return
         yield block

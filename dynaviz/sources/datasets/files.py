@@ -40,7 +40,10 @@ def has_files(folder: Path, pattern: str) -> bool:
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file exists; False also for a name that the system does not allow, such as one that is too long."""
+    """Whether a file exists.
+
+    False also for a name that the system does not allow, such as one that is too long.
+    """
     try:
         return path.is_file()
     except OSError:
@@ -55,11 +58,23 @@ def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
     """
     files: dict[int, Path] = {}
     for path in folder.glob(f"*{suffix}"):
-        if not (path.stem.isascii() and path.stem.isdigit() and len(path.stem) < 20 and int(path.stem) < 1 << 63):
-            hint = f"Name the scans 000000{suffix}, 000001{suffix} ..., and keep other {suffix} files elsewhere"
+        if not (
+            path.stem.isascii()
+            and path.stem.isdigit()
+            and len(path.stem) < 20
+            and int(path.stem) < 1 << 63
+        ):
+            hint = (
+                f"Name the scans 000000{suffix}, 000001{suffix} ..., and keep other {suffix} files "
+                "elsewhere"
+            )
             raise DataError(path, "file name is not a frame number", hint=hint)
         if int(path.stem) in files:
-            raise DataError(path, f"has the same number as {files[int(path.stem)].name}", hint="Remove one of them")
+            raise DataError(
+                path,
+                f"has the same number as {files[int(path.stem)].name}",
+                hint="Remove one of them",
+            )
         files[int(path.stem)] = path
     if not files:
         problem = f"has no *{suffix} files" if folder.is_dir() else "does not exist"

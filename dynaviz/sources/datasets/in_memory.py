@@ -16,10 +16,19 @@ from dynaviz.contracts.given import SCANS, given_points, given_pose, given_poses
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import NoPoses, UsageError
-from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_extrinsic, parse_points_in
+from dynaviz.sources.datasets.pose_matching import (
+    NO_POSES,
+    MatchedPoses,
+    match_poses,
+    parse_extrinsic,
+    parse_points_in,
+)
 from dynaviz.spatial import geometry
 
-_NO_POSES = "Estimate them with --poses small-gicp, or give one for each scan: (points, pose), or poses=(frames, 4, 4)"
+_NO_POSES = (
+    "Estimate them with --poses small-gicp, or give one for each scan: (points, pose), or "
+    "poses=(frames, 4, 4)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +62,13 @@ class ArraySequence:
         extrinsic: str | None = None,
         deskew: bool | None = None,
     ) -> ArraySequence:
-        """A sequence of ``(points, pose)``, ``(points, pose, stamp in nanoseconds)``, or points alone.
+        """A sequence of ``(points, pose)``, ``(points, pose, stamp in nanoseconds)``, or points
+        alone.
 
         Args:
             scans: the scans.
-            points_in, poses, extrinsic, deskew: as for ``dynaviz.open``; a file of poses replaces those of the scans,
-                and ``none`` leaves each scan in its own frame.
+            points_in, poses, extrinsic, deskew: as for ``dynaviz.open``; a file of poses replaces
+                those of the scans, and ``none`` leaves each scan in its own frame.
 
         Raises:
             UsageError: for anything else, or arrays of other shapes; names the scan.
@@ -66,18 +76,28 @@ class ArraySequence:
         """
         if deskew:
             raise UsageError("deskew: arrays have no times of points. Leave it out, or open a bag")
-        clouds, own, stamps = list[NDArray[Any]](), list[F64 | None](), list[int | None]()
+        clouds = list[NDArray[Any]]()
+        own = list[F64 | None]()
+        stamps = list[int | None]()
         for number, scan in enumerate(scans):
             points, pose, stamp = _parts(scan, number)
             clouds.append(given_points(points, number))
-            own.append(np.eye(4) if poses == NO_POSES else None if pose is None else given_pose(pose, number))
+            own.append(
+                np.eye(4)
+                if poses == NO_POSES
+                else None
+                if pose is None
+                else given_pose(pose, number)
+            )
             stamps.append(None if stamp is None else int(stamp))
         if not clouds:
             raise UsageError(f"there are no scans. {SCANS}")
         given = [T for T in own if T is not None]
         if poses in (None, NO_POSES) and len(given) < len(own):
             problem = (
-                f"scan {next(k for k, T in enumerate(own) if T is None)} has no pose" if given else "have no poses"
+                f"scan {next(k for k, T in enumerate(own) if T is None)} has no pose"
+                if given
+                else "have no poses"
             )
             raise NoPoses("arrays", problem, hint=_NO_POSES)
         numbers = np.arange(len(clouds))
@@ -107,10 +127,15 @@ class ArraySequence:
         xyz = xyz.astype(np.result_type(np.float32, xyz.dtype), copy=False)
         if self.points_in == "world":
             return xyz
-        return None if xyz.dtype == np.float32 else geometry.apply(self.poses[position], xyz) + self.origin
+        return (
+            None
+            if xyz.dtype == np.float32
+            else geometry.apply(self.poses[position], xyz) + self.origin
+        )
 
     def __getitem__(self, position: int) -> Scan:
-        xyz, T_world_sensor = self.clouds[position][:, :3], self.poses[position]
+        xyz = self.clouds[position][:, :3]
+        T_world_sensor = self.poses[position]
         world = self.points_in == "world"
         points = single(xyz - self.origin) if world else geometry.transform(T_world_sensor, xyz)
         return Scan(position % len(self), points, T_world_sensor, self.stamps[position])
@@ -119,17 +144,23 @@ class ArraySequence:
 def without_poses(sequence: Sequence) -> bool:
     """Whether several scans have the identity as pose, as programs write that know no poses."""
     some = {0, len(sequence) // 2, len(sequence) - 1}
-    return len(some) > 1 and all(np.array_equal(sequence[k].T_world_sensor, np.eye(4)) for k in some)
+    return len(some) > 1 and all(
+        np.array_equal(sequence[k].T_world_sensor, np.eye(4)) for k in some
+    )
 
 
 def with_given_poses(scans: Iterable[Any], poses: ArrayLike) -> list[tuple[Any, F64, Any]]:
-    """Scans as ``ArraySequence.of`` takes them, with a pose for each, (frames, 4, 4), in place of their own.
+    """Scans as ``ArraySequence.of`` takes them, with a pose for each, (frames, 4, 4), in place of
+    their own.
 
     Raises:
         UsageError: for another number of poses, or poses that are not rigid.
     """
     parts = [_parts(scan, number) for number, scan in enumerate(scans)]
-    return [(points, T, stamp) for (points, _, stamp), T in zip(parts, given_poses(poses, len(parts)), strict=True)]
+    return [
+        (points, T, stamp)
+        for (points, _, stamp), T in zip(parts, given_poses(poses, len(parts)), strict=True)
+    ]
 
 
 def _parts(scan: Any, number: int) -> tuple[Any, Any, Any]:

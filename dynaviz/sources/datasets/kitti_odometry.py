@@ -22,9 +22,9 @@ from dynaviz.spatial import geometry
 class KittiOdometrySequence(VelodyneSweeps):
     """A sequence of KITTI odometry, which has no ground truth.
 
-    The world frame is the sensor frame at the first pose: x forward, y left, z up. Camera poses are converted to sensor
-    poses with the calibration ``Tr``. They are read from ``poses/NN.txt`` next to ``sequences``, or from ``poses.txt``
-    in the sequence.
+    The world frame is the sensor frame at the first pose: x forward, y left, z up. Camera poses are
+    converted to sensor poses with the calibration ``Tr``. They are read from ``poses/NN.txt`` next
+    to ``sequences``, or from ``poses.txt`` in the sequence.
     """
 
     layout: ClassVar[str] = "sequences/NN/{velodyne/*.bin, calib.txt}, poses/NN.txt"
@@ -44,12 +44,14 @@ class KittiOdometrySequence(VelodyneSweeps):
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path is a sequence with ``poses/NN.txt``, its ``velodyne`` folder, or the parent of ``sequences/``.
+        """Whether a path is a sequence with ``poses/NN.txt``, its ``velodyne`` folder, or the
+        parent of ``sequences/``.
 
         Sequences with their own ``poses.txt`` are SemanticKITTI and do not match.
         """
         return any(
-            cls.pose_file(folder).is_file() and not (folder / "poses.txt").is_file() for folder in find_sequences(path)
+            cls.pose_file(folder).is_file() and not (folder / "poses.txt").is_file()
+            for folder in find_sequences(path)
         )
 
     @classmethod
@@ -60,18 +62,31 @@ class KittiOdometrySequence(VelodyneSweeps):
             DataError: if sweeps, poses or calibration are missing or inconsistent.
         """
         found = find_sequences(path)
-        folder = only(found[0].parent, "sequences", {folder.name: folder for folder in found}) if found else path
+        folder = (
+            only(found[0].parent, "sequences", {folder.name: folder for folder in found})
+            if found
+            else path
+        )
         scans = numbered_files(folder / "velodyne", ".bin")
-        calib, pose_file = folder / "calib.txt", cls.pose_file(folder)
+        calib = folder / "calib.txt"
+        pose_file = cls.pose_file(folder)
         T_camera_sensor = calib_transform(calib, read_calib(calib), "Tr", "Tr_velo_to_cam")
-        T_world_camera = geometry.compose(geometry.inverse(T_camera_sensor), read_kitti_poses(pose_file))
+        T_world_camera = geometry.compose(
+            geometry.inverse(T_camera_sensor), read_kitti_poses(pose_file)
+        )
         poses = geometry.compose(T_world_camera, T_camera_sensor)
         time_file = folder / "times.txt"
-        times = read_table(time_file, 1, "Each line is a time in seconds")[:, 0] if time_file.is_file() else None
+        times = (
+            read_table(time_file, 1, "Each line is a time in seconds")[:, 0]
+            if time_file.is_file()
+            else None
+        )
         for source, rows in ((pose_file, poses), (time_file, times)):
             if rows is not None and len(rows) <= max(scans):
                 problem = f"has only {len(rows)} lines, but there is a sweep {max(scans):06d}.bin"
-                raise DataError(source, problem, hint="Each sweep needs a line. Copy the file again")
+                raise DataError(
+                    source, problem, hint="Each sweep needs a line. Copy the file again"
+                )
         return cls(folder, load_sensor("hdl64e"), scans, poses, times)
 
     @property

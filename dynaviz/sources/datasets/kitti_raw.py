@@ -1,4 +1,7 @@
-"""KITTI raw (Geiger et al. 2013): HDL-64E sweeps, GPS poses, and for some drives boxes in the view of camera 2."""
+"""KITTI raw (Geiger et al. 2013).
+
+HDL-64E sweeps, GPS poses, and for some drives boxes in the view of camera 2.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,21 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
-from dynaviz.io.kitti import Tracklet, calib_matrix, calib_transform, read_calib, read_oxts, read_tracklets
+from dynaviz.io.kitti import (
+    Tracklet,
+    calib_matrix,
+    calib_transform,
+    read_calib,
+    read_oxts,
+    read_tracklets,
+)
 from dynaviz.io.velodyne import read_velodyne
-from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
+from dynaviz.sources.datasets.box_labels import (
+    OrientedBox,
+    moving_tracks,
+    track_facts,
+    truth_from_boxes,
+)
 from dynaviz.sources.datasets.files import VelodyneSweeps, has_files, numbered_files, only
 from dynaviz.sources.datasets.kitti_tracking import CATEGORIES, CLASS_NAMES, SWEEP_PERIOD, Camera
 from dynaviz.sources.datasets.truth import scan_fields
@@ -27,13 +42,18 @@ _TIME_HINT = "Each line is a time such as 2011-09-26 13:02:25.594360375"
 
 @dataclass(frozen=True)
 class KittiRawSequence(VelodyneSweeps):
-    """A drive of KITTI raw. The world frame is the sensor frame at the first record: x forward, y left, z up.
+    """A drive of KITTI raw. The world frame is the sensor frame at the first record.
 
-    Poses come from the GPS and inertial unit. If there is a ``tracklet_labels.xml``, points in the box of a moving
-    track are dynamic, other points in the image of camera 2 are static, and all others are unlabelled.
+    X forward, y left, z up.
+
+    Poses come from the GPS and inertial unit. If there is a ``tracklet_labels.xml``, points in the
+    box of a moving track are dynamic, other points in the image of camera 2 are static, and all
+    others are unlabelled.
     """
 
-    layout: ClassVar[str] = "DATE/{calib_imu_to_velo.txt, DATE_drive_0001_sync/{velodyne_points/data/*.bin, oxts/data}}"
+    layout: ClassVar[str] = (
+        "DATE/{calib_imu_to_velo.txt, DATE_drive_0001_sync/{velodyne_points/data/*.bin, oxts/data}}"
+    )
 
     drive: Path
     sensor: Sensor
@@ -57,7 +77,9 @@ class KittiRawSequence(VelodyneSweeps):
             DataError: if sweeps, poses or calibration are missing, or there are several drives.
         """
         found = _drives(path)
-        drive = only(found[0].parent if found else path, "drives", {drive.name: drive for drive in found})
+        drive = only(
+            found[0].parent if found else path, "drives", {drive.name: drive for drive in found}
+        )
         scans = numbered_files(drive / "velodyne_points/data", ".bin")
         records = numbered_files(drive / "oxts/data", ".txt")
         if missing := sorted(scans.keys() - records.keys()):
@@ -73,11 +95,24 @@ class KittiRawSequence(VelodyneSweeps):
             return cls(drive, load_sensor("hdl64e"), scans, by_frame, stamps, None, {}, frozenset())
         boxes = _boxes(read_tracklets(tracklets))
         moving = moving_tracks(
-            (box.track, frame * SWEEP_PERIOD, geometry.compose(by_frame[frame], box.T_frame_box)[:3, 3])
+            (
+                box.track,
+                frame * SWEEP_PERIOD,
+                geometry.compose(by_frame[frame], box.T_frame_box)[:3, 3],
+            )
             for frame in sorted(boxes.keys() & by_frame.keys())
             for box in boxes[frame]
         )
-        return cls(drive, load_sensor("hdl64e"), scans, by_frame, stamps, _camera(drive.parent), boxes, moving)
+        return cls(
+            drive,
+            load_sensor("hdl64e"),
+            scans,
+            by_frame,
+            stamps,
+            _camera(drive.parent),
+            boxes,
+            moving,
+        )
 
     @property
     def name(self) -> str:
@@ -92,7 +127,9 @@ class KittiRawSequence(VelodyneSweeps):
     @property
     def facts(self) -> dict[str, str]:
         """Number of objects with boxes."""
-        return track_facts({box.track for boxes in self.boxes.values() for box in boxes}, self.moving)
+        return track_facts(
+            {box.track for boxes in self.boxes.values() for box in boxes}, self.moving
+        )
 
     def __getitem__(self, position: int) -> Scan:
         index = self.index_of(position)
@@ -117,7 +154,10 @@ def _drives(path: Path) -> list[Path]:
         sweeps = drive / "velodyne_points/data"
         if path in (drive, sweeps.parent, sweeps) and has_files(sweeps, "*.bin"):
             return [drive]
-    found = [*path.glob("*_drive_*/velodyne_points/data"), *path.glob("*/*_drive_*/velodyne_points/data")]
+    found = [
+        *path.glob("*_drive_*/velodyne_points/data"),
+        *path.glob("*/*_drive_*/velodyne_points/data"),
+    ]
     return sorted(sweeps.parent.parent for sweeps in found if has_files(sweeps, "*.bin"))
 
 
@@ -184,5 +224,7 @@ def _boxes(tracklets: list[Tracklet]) -> dict[int, list[OrientedBox]]:
         height, width, length = tracklet.size
         for frame, (x, y, z, yaw) in enumerate(tracklet.poses, tracklet.first):
             T_sensor_box = geometry.pose((x, y, z), (np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)))
-            boxes.setdefault(frame, []).append(OrientedBox(track, class_id, T_sensor_box, (length, width, height)))
+            boxes.setdefault(frame, []).append(
+                OrientedBox(track, class_id, T_sensor_box, (length, width, height))
+            )
     return boxes

@@ -1,4 +1,7 @@
-"""Several lidars of one vehicle, as one sequence: ``drive.bag#/front,/rear`` or ``scans#front,rear``."""
+"""Several lidars of one vehicle, as one sequence.
+
+``drive.bag#/front,/rear`` or ``scans#front,rear``.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +21,15 @@ from dynaviz.sources.datasets.pose_matching import NO_POSES
 from dynaviz.spatial.trajectory import HasTrajectories, Moved, PosesOverTime
 
 LIDAR = "lidar"
-"""Attribute of points, and column of poses: number of the lidar, in the order of the names in the path."""
+"""Attribute of points, and column of poses: number of the lidar, in the order of the names in the
+path."""
 
 
 @dataclass(frozen=True)
 class Lidars(Joined):
-    """Scans of several lidars in the order of their times. Each has the pose of its own lidar, where its rays start.
+    """Scans of several lidars in the order of their times.
+
+    Each has the pose of its own lidar, where its rays start.
 
     Attributes:
         parts: a sequence for each lidar, in one world frame.
@@ -52,18 +58,22 @@ class Lidars(Joined):
             extrinsic: a pose for each lidar, ``/front=X,Y,Z,ROLL,PITCH,YAW;/rear=...``.
 
         Raises:
-            UsageError: for an extrinsic that does not name each lidar, or poses that are to be estimated.
+            UsageError: for an extrinsic that does not name each lidar, or poses that are to be
+                estimated.
         """
-        whole, names = text.rpartition("#")[0], names_in(text)
+        whole = text.rpartition("#")[0]
+        names = names_in(text)
         if poses == NO_POSES:
             one = _path(whole, names[0])
             raise UsageError(
-                f"{text}: poses are estimated for one lidar. Estimate them for {one}, then give the file with --poses "
+                f"{text}: poses are estimated for one lidar. Estimate them for {one}, then give "
+                "the file with --poses "
                 f"and the poses of the other lidars in the frame of this one with --extrinsic"
             )
         mounts = _mounts(extrinsic, names)
         lidars = tuple(
-            open_one(_path(whole, name), poses=poses, extrinsic=mounts.get(name), **options) for name in names
+            open_one(_path(whole, name), poses=poses, extrinsic=mounts.get(name), **options)
+            for name in names
         )
         return cls(lidars, names, _order(lidars))
 
@@ -76,12 +86,15 @@ class Lidars(Joined):
     @property
     def facts(self) -> dict[str, str]:
         """The lidars with their numbers of scans, and the facts of the first."""
-        counts = ", ".join(f"{name} ({len(lidar):,})" for name, lidar in zip(self.names, self.parts, strict=True))
+        counts = ", ".join(
+            f"{name} ({len(lidar):,})" for name, lidar in zip(self.names, self.parts, strict=True)
+        )
         return {"lidars": counts, **getattr(self.parts[0], "facts", {})}
 
     def attributes(self, position: int) -> Attributes:
         """Those of the lidar's frame, and the number of the lidar."""
-        found, (lidar, row) = super().attributes(position), self.place(position)
+        found = super().attributes(position)
+        (lidar, row) = self.place(position)
         points = len(next(iter(found.values()))) if found else len(self.parts[lidar][row])
         return {**found, LIDAR: np.full(points, lidar, np.uint8)}
 
@@ -102,14 +115,19 @@ class Lidars(Joined):
 
 
 def names_in(text: str) -> tuple[str, ...]:
-    """The lidars that a path names after ``#``, separated by commas; empty if it does not name several."""
+    """The lidars that a path names after ``#``, separated by commas.
+
+    Empty if it does not name several.
+    """
     _, hash_, names = text.rpartition("#")
     return tuple(names.split(",")) if hash_ and "," in names and not Path(text).exists() else ()
 
 
 def _path(whole: str, name: str) -> str:
     """The path of one lidar: a topic of a bag, or a folder."""
-    folder = Path(whole.partition(":")[2] if ":" in whole and not Path(whole).exists() else whole) / name
+    folder = (
+        Path(whole.partition(":")[2] if ":" in whole and not Path(whole).exists() else whole) / name
+    )
     return f"{whole}/{name}" if not name.startswith("/") and folder.is_dir() else f"{whole}#{name}"
 
 

@@ -1,4 +1,6 @@
-"""A map of a whole drive in one file, split into scans again by the times of its points and the trajectory."""
+"""A map of a whole drive in one file, split into scans again by the times of its points and the
+trajectory.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +30,30 @@ TIMES = ("gps_time", "GpsTime", "time", "timestamp", "t", "stamp")
 PERIOD = 100_000_000  # nanoseconds of a scan
 TICK = 1_000_000  # nanoseconds; resolution of the positions of the sensor
 _NEVER = -(1 << 62)  # nanoseconds; before every trajectory
-_HINT = "Give the trajectory of the sensor with --poses FILE (TUM, or CSV with a stamp), on the clock of the points"
+_HINT = (
+    "Give the trajectory of the sensor with --poses FILE (TUM, or CSV with a stamp), on the clock "
+    "of the points"
+)
 _NEEDS_SCANS = (
-    "Methods must know from where each point was seen: give the single scans with their poses, or a map that keeps "
+    "Methods must know from where each point was seen: give the single scans with their poses, or "
+    "a map that keeps "
     "gps_time with --poses TRAJECTORY"
 )
 
 
 @dataclass(frozen=True, eq=False)
 class MergedMapSequence:
-    """A merged map (.las .laz .pcd .ply) whose points have times, and a trajectory given with ``--poses``.
+    """A merged map (.las .laz .pcd .ply) whose points have times, and a trajectory given with
+    ``--poses``.
 
-    Points are in the world frame. They are split into scans of 0.1 s; each ray starts where the sensor was at the time
-    of its point, and of its lidar if points and poses state it. Points outside the time span of the trajectory are in
-    no scan.
+    Points are in the world frame. They are split into scans of 0.1 s; each ray starts where the
+    sensor was at the time of its point, and of its lidar if points and poses state it. Points
+    outside the time span of the trajectory are in no scan.
     """
 
-    layout: ClassVar[str] = "survey.laz, .las, .pcd or .ply with a time per point, and --poses TRAJECTORY"
+    layout: ClassVar[str] = (
+        "survey.laz, .las, .pcd or .ply with a time per point, and --poses TRAJECTORY"
+    )
     fallback: ClassVar[bool] = True
 
     path: Path
@@ -59,41 +68,66 @@ class MergedMapSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path is a file that may be a map: not one of several numbered scans, nor a file next to scans."""
-        if path.suffix.lower() not in SUFFIXES or not path.is_file() or (path.parent / "pcd").is_dir():
+        """Whether a path is a file that may be a map.
+
+        Not one of several numbered scans, nor a file next to scans.
+        """
+        if (
+            path.suffix.lower() not in SUFFIXES
+            or not path.is_file()
+            or (path.parent / "pcd").is_dir()
+        ):
             return False
-        return not path.stem[-1:].isdigit() or len(list(path.parent.glob(f"*[0-9]{path.suffix}"))) == 1
+        return (
+            not path.stem[-1:].isdigit() or len(list(path.parent.glob(f"*[0-9]{path.suffix}"))) == 1
+        )
 
     @classmethod
     def open(cls, path: Path, *, poses: str | None = None, points_in: str | None = None) -> Self:
         """Read the map and split it.
 
         Raises:
-            DataError: if the points have no times, there is no trajectory, or they do not overlap in time.
+            DataError: if the points have no times, there is no trajectory, or they do not overlap
+                in time.
             UsageError: for points in the sensor frame.
         """
         if parse_points_in(points_in or "world") != "world":
-            raise UsageError(f"--points-in {points_in}: the points of a merged map are in the world frame")
+            raise UsageError(
+                f"--points-in {points_in}: the points of a merged map are in the world frame"
+            )
         fields = read_fields(path)
         name = next((name for name in TIMES if name in fields and _vary(fields[name])), None)
         if name is None:
             raise DataError(path, "is a merged map without a time per point", hint=_NEEDS_SCANS)
         if poses is None or not Path(poses).is_file():
-            raise DataError(path, f"is a merged map; its field {name} can split it by a trajectory", hint=_HINT)
+            raise DataError(
+                path, f"is a merged map; its field {name} can split it by a trajectory", hint=_HINT
+            )
         file = read_poses(poses)
         if file.stamps is None:
             raise DataError(poses, "has no times, so it cannot split a merged map", hint=_HINT)
         if len(file.lidars) > 1 and LIDAR not in fields:
             problem = f"has no field {LIDAR}, but the poses are those of {len(file.lidars)} lidars"
-            raise DataError(path, problem, hint="Give the poses of one lidar, without the column lidar")
-        paths = {k: Trajectory.of(file.stamps[rows], file.poses[rows]) for k, rows in file.lidars.items()}
+            raise DataError(
+                path, problem, hint="Give the poses of one lidar, without the column lidar"
+            )
+        paths = {
+            k: Trajectory.of(file.stamps[rows], file.poses[rows]) for k, rows in file.lidars.items()
+        }
         times = _nanoseconds(fields[name], Trajectory.of(file.stamps, file.poses))
         inside = np.zeros(len(times), np.bool_)
         for lidar, each in paths.items():
-            inside |= _of_lidar(fields, lidar, len(paths)) & (times >= each.times[0]) & (times <= each.times[-1])
+            inside |= (
+                _of_lidar(fields, lidar, len(paths))
+                & (times >= each.times[0])
+                & (times <= each.times[-1])
+            )
         if not inside.any():
             spans = [f"{t.min() / 1e9:.1f} to {t.max() / 1e9:.1f} s" for t in (times, file.stamps)]
-            problem = f"points and poses do not overlap in time: points from {spans[0]}, poses from {spans[1]}"
+            problem = (
+                f"points and poses do not overlap in time: points from {spans[0]}, poses from "
+                f"{spans[1]}"
+            )
             raise DataError(path, problem, hint=_HINT)
         order = np.flatnonzero(inside)[np.argsort(times[inside], kind="stable")]
         times = times[order]
@@ -104,11 +138,14 @@ class MergedMapSequence:
         facts = {
             "poses": f"{Path(poses).name} ({file.kind}), by stamp",
             "points in": "world frame",
-            "split by": f"{name}, {PERIOD / 1e9:g} s per scan; {len(outside):,} points are outside the trajectory",
+            "split by": f"{name}, {PERIOD / 1e9:g} s per scan; {len(outside):,} points are outside "
+            "the trajectory",
         }
         rows = np.concatenate([order, outside])
         sorted_fields = {key: array[rows] for key, array in fields.items()}
-        moved: dict[int, PosesOverTime] = {lidar: Moved(each, -origin) for lidar, each in paths.items()}
+        moved: dict[int, PosesOverTime] = {
+            lidar: Moved(each, -origin) for lidar, each in paths.items()
+        }
         return cls(path, sorted_fields, bounds, times, moved, facts, origin)
 
     @property
@@ -188,9 +225,9 @@ def _vary(values: NDArray[Any]) -> bool:
 def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:
     """Times on the clock of the trajectory.
 
-    Units of s, ms, us and ns are tried; of those in which most points lie within the trajectory, the first is used.
-    LAS stores GPS seconds, or GPS seconds minus 1e9; a trajectory may have Unix time instead. Times that are not
-    finite, or beyond 64 bits, become ``_NEVER``.
+    Units of s, ms, us and ns are tried; of those in which most points lie within the trajectory,
+    the first is used. LAS stores GPS seconds, or GPS seconds minus 1e9; a trajectory may have Unix
+    time instead. Times that are not finite, or beyond 64 bits, become ``_NEVER``.
     """
     first, last = trajectory.span
     to_unix = leap_offset(trajectory.times[0] / 1e9)
@@ -200,8 +237,13 @@ def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:
         for unit in (1e9, 1e6, 1e3, 1.0):
             exact = values.dtype.kind in "iu" and unit == 1.0 and not offset
             with np.errstate(over="ignore", invalid="ignore"):
-                times = values.astype(np.int64) if exact else np.round((values.astype(np.float64) + offset) * unit)
+                times = (
+                    values.astype(np.int64)
+                    if exact
+                    else np.round((values.astype(np.float64) + offset) * unit)
+                )
             share = float(((times >= first) & (times <= last)).mean())
             if share > most:
-                best, most = times, share
+                best = times
+                most = share
     return np.where(np.abs(best) < -_NEVER, best, _NEVER).astype(np.int64)

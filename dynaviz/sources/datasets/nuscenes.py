@@ -16,15 +16,26 @@ from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
 from dynaviz.io.records import read_records
 from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
-from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
+from dynaviz.sources.datasets.box_labels import (
+    OrientedBox,
+    moving_tracks,
+    track_facts,
+    truth_from_boxes,
+)
 from dynaviz.sources.datasets.files import has_files, is_file, only
 from dynaviz.sources.datasets.truth import scan_fields
 from dynaviz.spatial import geometry
 
 CHANNEL = "LIDAR_TOP"
-EGO_EXTENT = ((-0.8, 3.6), (-1.1, 1.1))  # metres along x and y of the ego frame; the car itself has no box
+# metres along x and y of the ego frame; the car itself has no box
+EGO_EXTENT = (
+    (-0.8, 3.6),
+    (-1.1, 1.1),
+)
 _HINT = "Copy the tables again"
-_TYPES: dict[str, tuple[type, str]] = {  # of the values in a record, and their name; all others are text
+_TYPES: dict[
+    str, tuple[type, str]
+] = {  # of the values in a record, and their name; all others are text
     "timestamp": (int, "a number of microseconds"),
     "is_key_frame": (bool, "true or false"),
     **dict.fromkeys(("translation", "rotation", "size"), (list, "a list of numbers")),
@@ -65,16 +76,18 @@ class Keyframe:
 class NuScenesSequence:
     """A scene of nuScenes: keyframes and the sweeps between them.
 
-    Append the name of a scene to the path to select it: ``nuscenes/scene-0061``. The world frame has the axes of the
-    map, z up, and its origin at the sensor position of the first sweep.
+    Append the name of a scene to the path to select it: ``nuscenes/scene-0061``. The world frame
+    has the axes of the map, z up, and its origin at the sensor position of the first sweep.
 
-    Boxes are annotated in keyframes and interpolated between them. If only one of two keyframes has an object, its box
-    is extrapolated, and points in an extrapolated moving box are unlabelled. Points on the recording car are also
-    unlabelled, and so are all points before the first and after the last keyframe.
-    Without the folder ``sweeps``, the sequence consists of the keyframes.
+    Boxes are annotated in keyframes and interpolated between them. If only one of two keyframes has
+    an object, its box is extrapolated, and points in an extrapolated moving box are unlabelled.
+    Points on the recording car are also unlabelled, and so are all points before the first and
+    after the last keyframe. Without the folder ``sweeps``, the sequence consists of the keyframes.
     """
 
-    layout: ClassVar[str] = "{v1.0-mini/*.json, samples/LIDAR_TOP, sweeps/LIDAR_TOP}, followed by the name of a scene"
+    layout: ClassVar[str] = (
+        "{v1.0-mini/*.json, samples/LIDAR_TOP, sweeps/LIDAR_TOP}, followed by the name of a scene"
+    )
 
     scene: str
     sensor: Sensor
@@ -85,7 +98,9 @@ class NuScenesSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path contains tables ``v1.0-*`` or is a folder of tables, optionally followed by a scene name."""
+        """Whether a path contains tables ``v1.0-*`` or is a folder of tables, optionally followed
+        by a scene name.
+        """
         return bool(_versions(path)[0])
 
     @classmethod
@@ -97,20 +112,31 @@ class NuScenesSequence:
         """
         tables, scene = _scene(path)
         samples = {
-            row["token"] for row in _rows(tables, "sample", "scene_token") if row["scene_token"] == scene["token"]
+            row["token"]
+            for row in _rows(tables, "sample", "scene_token")
+            if row["scene_token"] == scene["token"]
         }
         sweeps = _sweeps(tables, samples)
         start = geometry.compose(sweeps[0].T_world_ego, sweeps[0].T_ego_sensor)[:3, 3].copy()
         for sweep in sweeps:
             sweep.T_world_ego[:3, 3] -= start
         names = sorted({row["name"] for row in _rows(tables, "category", "name")})
-        keyframes = _keyframes(tables, {sweep.sample: sweep.time for sweep in sweeps if sweep.sample}, names, start)
+        keyframes = _keyframes(
+            tables, {sweep.sample: sweep.time for sweep in sweeps if sweep.sample}, names, start
+        )
         moving = moving_tracks(
             (track, keyframe.time * 1e-6, box.T_frame_box[:3, 3])
             for keyframe in keyframes
             for track, box in keyframe.boxes.items()
         )
-        return cls(scene["name"], load_sensor("hdl32e"), sweeps, keyframes, dict(enumerate(["none", *names])), moving)
+        return cls(
+            scene["name"],
+            load_sensor("hdl32e"),
+            sweeps,
+            keyframes,
+            dict(enumerate(["none", *names])),
+            moving,
+        )
 
     @property
     def name(self) -> str:
@@ -126,7 +152,9 @@ class NuScenesSequence:
     def facts(self) -> dict[str, str]:
         """Number of keyframes, and number of objects with boxes."""
         count = {"keyframes": f"{sum(bool(sweep.sample) for sweep in self.sweeps):,}"}
-        return count | track_facts({track for keyframe in self.keyframes for track in keyframe.boxes}, self.moving)
+        return count | track_facts(
+            {track for keyframe in self.keyframes for track in keyframe.boxes}, self.moving
+        )
 
     def __len__(self) -> int:
         return len(self.sweeps)
@@ -154,7 +182,10 @@ class NuScenesSequence:
 
 
 def boxes_at(keyframes: list[Keyframe], time: int) -> list[OrientedBox] | None:
-    """Interpolate the boxes at a time in microseconds; None before the first keyframe and after the last."""
+    """Interpolate the boxes at a time in microseconds.
+
+    None before the first keyframe and after the last.
+    """
     after = next((k for k, keyframe in enumerate(keyframes) if keyframe.time >= time), None)
     if after is None or (after == 0 and keyframes[0].time > time):
         return None
@@ -162,9 +193,13 @@ def boxes_at(keyframes: list[Keyframe], time: int) -> list[OrientedBox] | None:
         return list(keyframes[after].boxes.values())
     before = after - 1
     weight = (time - keyframes[before].time) / (keyframes[after].time - keyframes[before].time)
-    first, second = keyframes[before].boxes, keyframes[after].boxes
-    boxes = [_interpolate(first[track], second[track], weight) for track in first.keys() & second.keys()]
-    # Extrapolate boxes that only one of the two keyframes has, from this keyframe and the one beyond it.
+    first = keyframes[before].boxes
+    second = keyframes[after].boxes
+    boxes = [
+        _interpolate(first[track], second[track], weight) for track in first.keys() & second.keys()
+    ]
+    # Extrapolate boxes that only one of the two keyframes has, from this keyframe and the one
+    # beyond it.
     for here, beyond, step in ((before, before - 1, weight), (after, after + 1, 1 - weight)):
         for track in keyframes[here].boxes.keys() - keyframes[before + after - here].boxes.keys():
             box = keyframes[here].boxes[track]
@@ -174,10 +209,14 @@ def boxes_at(keyframes: list[Keyframe], time: int) -> list[OrientedBox] | None:
 
 
 def _interpolate(a: OrientedBox, b: OrientedBox, weight: float) -> OrientedBox:
-    """A box between ``a`` (weight 0) and ``b`` (weight 1). Outside this range only the position is extrapolated."""
+    """A box between ``a`` (weight 0) and ``b`` (weight 1).
+
+    Outside this range only the position is extrapolated.
+    """
     T = np.eye(4)
     T[:3, 3] = (1 - weight) * a.T_frame_box[:3, 3] + weight * b.T_frame_box[:3, 3]
-    p, q = geometry.quaternion(a.T_frame_box[:3, :3]), geometry.quaternion(b.T_frame_box[:3, :3])
+    p = geometry.quaternion(a.T_frame_box[:3, :3])
+    q = geometry.quaternion(b.T_frame_box[:3, :3])
     rotation_weight = min(max(weight, 0.0), 1.0) * (1 if (p * q).sum() >= 0 else -1)
     T[:3, :3] = geometry.matrix((1 - abs(rotation_weight)) * p + rotation_weight * q)
     return replace(a, T_frame_box=T)
@@ -186,7 +225,8 @@ def _interpolate(a: OrientedBox, b: OrientedBox, weight: float) -> OrientedBox:
 def _on_ego(in_ego: F64) -> Bool:
     """Mask of (N, 3) points in the ego frame that lie on the recording car."""
     (back, front), (right, left) = EGO_EXTENT
-    x, y = in_ego[:, 0], in_ego[:, 1]
+    x = in_ego[:, 0]
+    y = in_ego[:, 1]
     on_ego: Bool = (x > back) & (x < front) & (y > right) & (y < left)
     return on_ego
 
@@ -215,12 +255,17 @@ def _scene(path: Path) -> tuple[Path, Record]:
         return only(path, "scenes", scenes)
     if name not in scenes:
         available = ", ".join(list(scenes)[:10])
-        raise DataError(path.parent, f"has no scene {name}", hint=f"Give one of its scenes: {available}")
+        raise DataError(
+            path.parent, f"has no scene {name}", hint=f"Give one of its scenes: {available}"
+        )
     return scenes[name]
 
 
 def _rows(tables: Path, table: str, *keys: str) -> Iterator[Record]:
-    """The records of a table; DataError if one lacks the token or a key, or has a value of another type."""
+    """The records of a table.
+
+    DataError if one lacks the token or a key, or has a value of another type.
+    """
     path = tables / f"{table}.json"
     for number, row in enumerate(read_records(path)):
         for key in ("token", *keys):
@@ -243,20 +288,31 @@ def _transform(tables: Path, table: str, row: Record) -> F64:
             raise ValueError("too far")
     except (ValueError, TypeError, OverflowError):
         at = f"token {row['token']}"
-        raise DataError(tables / f"{table}.json", "no valid translation and rotation", at=at, hint=_HINT) from None
+        raise DataError(
+            tables / f"{table}.json", "no valid translation and rotation", at=at, hint=_HINT
+        ) from None
     return T
 
 
 def _sweeps(tables: Path, samples: set[str]) -> list[Sweep]:
     """All sweeps of a scene, in order of time."""
     pose = ("translation", "rotation")
-    channels = {row["token"] for row in _rows(tables, "sensor", "channel") if row["channel"] == CHANNEL}
+    channels = {
+        row["token"] for row in _rows(tables, "sensor", "channel") if row["channel"] == CHANNEL
+    }
     mounts = {
         row["token"]: _transform(tables, "calibrated_sensor", row)
         for row in _rows(tables, "calibrated_sensor", "sensor_token", *pose)
         if row["sensor_token"] in channels
     }
-    keys = ("sample_token", "ego_pose_token", "calibrated_sensor_token", "filename", "timestamp", "is_key_frame")
+    keys = (
+        "sample_token",
+        "ego_pose_token",
+        "calibrated_sensor_token",
+        "filename",
+        "timestamp",
+        "is_key_frame",
+    )
     rows = [
         row
         for row in _rows(tables, "sample_data", *keys)
@@ -265,7 +321,9 @@ def _sweeps(tables: Path, samples: set[str]) -> list[Sweep]:
     if not (tables.parent / "sweeps").is_dir():
         rows = [row for row in rows if row["is_key_frame"]]
     if not rows:
-        raise DataError(tables / "sample_data.json", f"has no {CHANNEL} data for this scene", hint=_HINT)
+        raise DataError(
+            tables / "sample_data.json", f"has no {CHANNEL} data for this scene", hint=_HINT
+        )
     pose_tokens = {row["ego_pose_token"] for row in rows}
     ego_poses = {
         row["token"]: _transform(tables, "ego_pose", row)
@@ -275,14 +333,23 @@ def _sweeps(tables: Path, samples: set[str]) -> list[Sweep]:
     sweeps = []
     for row in sorted(rows, key=lambda row: row["timestamp"]):
         if row["ego_pose_token"] not in ego_poses:
-            raise DataError(tables / "ego_pose.json", f"pose {row['ego_pose_token']} is missing", hint=_HINT)
+            raise DataError(
+                tables / "ego_pose.json", f"pose {row['ego_pose_token']} is missing", hint=_HINT
+            )
         path = tables.parent / row["filename"]
         if not is_file(path):
             raise DataError(
-                path, "does not exist", hint="Download it, or remove the folder sweeps to use keyframes only"
+                path,
+                "does not exist",
+                hint="Download it, or remove the folder sweeps to use keyframes only",
             )
-        mount, sample = mounts[row["calibrated_sensor_token"]], row["sample_token"] if row["is_key_frame"] else ""
-        sweeps.append(Sweep(path, int(row["timestamp"]), ego_poses[row["ego_pose_token"]].copy(), mount, sample))
+        mount = mounts[row["calibrated_sensor_token"]]
+        sample = row["sample_token"] if row["is_key_frame"] else ""
+        sweeps.append(
+            Sweep(
+                path, int(row["timestamp"]), ego_poses[row["ego_pose_token"]].copy(), mount, sample
+            )
+        )
     return sweeps
 
 
@@ -301,8 +368,12 @@ def _keyframes(tables: Path, times: dict[str, int], names: list[str], start: F64
         for row in _rows(tables, "sample_annotation", "sample_token", "instance_token", *pose)
         if row["sample_token"] in times
     ]
-    numbers = {token: n for n, token in enumerate(sorted({row["instance_token"] for row in rows}), 1)}
-    categories = {row["token"]: names.index(row["name"]) + 1 for row in _rows(tables, "category", "name")}
+    numbers = {
+        token: n for n, token in enumerate(sorted({row["instance_token"] for row in rows}), 1)
+    }
+    categories = {
+        row["token"]: names.index(row["name"]) + 1 for row in _rows(tables, "category", "name")
+    }
     class_ids = {
         row["token"]: categories.get(row["category_token"], 0)
         for row in _rows(tables, "instance", "category_token")
@@ -310,15 +381,21 @@ def _keyframes(tables: Path, times: dict[str, int], names: list[str], start: F64
     }
     keyframes = {sample: Keyframe(time, {}) for sample, time in times.items()}
     for row in rows:
-        T_world_box, track = _transform(tables, "sample_annotation", row), numbers[row["instance_token"]]
+        T_world_box = _transform(tables, "sample_annotation", row)
+        track = numbers[row["instance_token"]]
         try:
             width, length, height = (float(x) for x in row["size"])
             if not (np.abs([width, length, height]) < _FARTHEST).all():
                 raise ValueError("not finite, or too large")
         except (ValueError, TypeError, OverflowError):
             at = f"token {row['token']}"
-            raise DataError(tables / "sample_annotation.json", "no valid size", at=at, hint=_HINT) from None
-        T_world_box[:3, 3] -= start + T_world_box[:3, 2] * height / 2  # from the centre of the box to its bottom face
-        box = OrientedBox(track, class_ids.get(row["instance_token"], 0), T_world_box, (length, width, height))
+            raise DataError(
+                tables / "sample_annotation.json", "no valid size", at=at, hint=_HINT
+            ) from None
+        # from the centre of the box to its bottom face
+        T_world_box[:3, 3] -= start + T_world_box[:3, 2] * height / 2
+        box = OrientedBox(
+            track, class_ids.get(row["instance_token"], 0), T_world_box, (length, width, height)
+        )
         keyframes[row["sample_token"]].boxes[track] = box
     return sorted(keyframes.values(), key=lambda keyframe: keyframe.time)

@@ -1,4 +1,7 @@
-"""Match scans to the poses of a file by stamp, number or order; the pose of a lidar on a vehicle (``--extrinsic``)."""
+"""Match scans to the poses of a file by stamp, number or order.
+
+The pose of a lidar on a vehicle (``--extrinsic``).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,9 @@ from dynaviz.io.poses import PoseFile, read_poses
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import PosesOverTime, Trajectory
 
-STAMP_TOLERANCE = 1_000_000  # nanoseconds a scan may lie outside the poses, because stamps are rounded
+STAMP_TOLERANCE = (
+    1_000_000  # nanoseconds a scan may lie outside the poses, because stamps are rounded
+)
 NO_POSES = "none"  # as the source of poses: each scan stays in its own frame, for odometries
 FRAMES = ("sensor", "world")  # frames that points may be in
 
@@ -28,7 +33,8 @@ class MatchedPoses:
     Attributes:
         positions: (M,) int64: positions of these scans in the sequence, increasing.
         poses: (M, 4, 4) float64, metres: T_world_sensor of each.
-        stamps: (M,) int64, nanoseconds, of the scans or otherwise of their poses; None if neither has stamps.
+        stamps: (M,) int64, nanoseconds, of the scans or otherwise of their poses; None if neither
+            has stamps.
         description: source of the poses in a few words, for ``dynaviz info``.
         trajectory: T_world_sensor over time; None if poses are not matched by stamp.
         origin: (3,) float64, metres: what was subtracted from all positions.
@@ -49,11 +55,16 @@ class MatchedPoses:
         return replace(self, poses=geometry.compose(self.poses, mount), trajectory=trajectory)
 
     def near_zero(self) -> MatchedPoses:
-        """The poses in a world whose origin is near the first of them; see ``contracts.attributes.far_origin``."""
+        """The poses in a world whose origin is near the first of them.
+
+        See ``contracts.attributes.far_origin``.
+        """
         origin = far_origin(self.poses[0, :3, 3])
         if not origin.any():
             return self
-        trajectory = self.trajectory and Trajectory(self.trajectory.times, moved(self.trajectory.poses, -origin))
+        trajectory = self.trajectory and Trajectory(
+            self.trajectory.times, moved(self.trajectory.poses, -origin)
+        )
         return replace(self, poses=moved(self.poses, -origin), trajectory=trajectory, origin=origin)
 
 
@@ -67,8 +78,9 @@ def moved(poses: F64, offset: F64) -> F64:
 def match_poses(file: Path, scans: Path, stamps: I64 | None, numbers: I64) -> MatchedPoses:
     """Find the pose of each scan.
 
-    Poses are interpolated by stamp if scans and poses have stamps. Otherwise they are matched by number if the poses
-    have numbers, or else by order, which needs as many poses as scans. Scans without a pose are skipped with a warning.
+    Poses are interpolated by stamp if scans and poses have stamps. Otherwise they are matched by
+    number if the poses have numbers, or else by order, which needs as many poses as scans. Scans
+    without a pose are skipped with a warning.
 
     Args:
         file: pose file.
@@ -81,7 +93,11 @@ def match_poses(file: Path, scans: Path, stamps: I64 | None, numbers: I64) -> Ma
     """
     poses = read_poses(file)
     if (several := len(poses.lidars)) > 1:
-        raise DataError(file, f"has the poses of {several} lidars", hint="Give those of one, or the merged map of all")
+        raise DataError(
+            file,
+            f"has the poses of {several} lidars",
+            hint="Give those of one, or the merged map of all",
+        )
     if stamps is not None and poses.stamps is not None and (len(poses) > 1 or len(stamps) == 1):
         return _by_stamp(poses, scans, stamps)
     if poses.numbers is not None:
@@ -92,14 +108,19 @@ def match_poses(file: Path, scans: Path, stamps: I64 | None, numbers: I64) -> Ma
         hint = "Give one pose per scan, or stamps for both (TUM, CSV), or an index (CSV)"
         raise DataError(file, problem, hint=hint)
     stamps = poses.stamps if stamps is None else stamps
-    return MatchedPoses(np.arange(len(numbers)), poses.poses, stamps, f"{file.name} ({poses.kind}), by order")
+    return MatchedPoses(
+        np.arange(len(numbers)), poses.poses, stamps, f"{file.name} ({poses.kind}), by order"
+    )
 
 
 def _by_stamp(poses: PoseFile, scans: Path, stamps: I64) -> MatchedPoses:
     assert poses.stamps is not None
     decreasing = np.diff(poses.stamps) < 0
     if decreasing.any():
-        problem = f"times are not increasing: row {int(np.argmax(decreasing)) + 2} is before the row above"
+        problem = (
+            f"times are not increasing: row {int(np.argmax(decreasing)) + 2} is before the row "
+            "above"
+        )
         raise DataError(poses.path, problem, hint="Sort the poses by time, with one drive per file")
     trajectory = Trajectory.of(poses.stamps, poses.poses)
     kept = covered_scans(trajectory, stamps, f"{poses.path}", scans)
@@ -115,13 +136,16 @@ def _by_number(poses: PoseFile, scans: Path, numbers: I64) -> MatchedPoses:
         raise DataError(poses.path, "two poses have the same index", hint="Give one pose per scan")
     if not len(kept):
         problem = (
-            f"poses {min(row_of)} to {max(row_of)} match none of the scans {numbers[0]} to {numbers[-1]} in {scans}"
+            f"poses {min(row_of)} to {max(row_of)} match none of the scans {numbers[0]} to "
+            f"{numbers[-1]} in {scans}"
         )
         raise DataError(poses.path, problem, hint="Number poses and scans alike")
     warn_skipped(len(numbers) - len(kept), len(numbers), f"have no pose in {poses.path}")
     rows = np.array([row_of[number] for number in numbers[kept].tolist()])
     stamps = None if poses.stamps is None else poses.stamps[rows]
-    return MatchedPoses(kept, poses.poses[rows], stamps, f"{poses.path.name} ({poses.kind}), by number")
+    return MatchedPoses(
+        kept, poses.poses[rows], stamps, f"{poses.path.name} ({poses.kind}), by number"
+    )
 
 
 def covered_scans(poses: PosesOverTime, stamps: I64, source: str, scans: Path) -> I64:
@@ -135,9 +159,18 @@ def covered_scans(poses: PosesOverTime, stamps: I64, source: str, scans: Path) -
     if not len(kept):
         scan_span = f"{stamps.min() / 1e9:.3f} to {stamps.max() / 1e9:.3f} s"
         pose_span = f"{first / 1e9:.3f} to {last / 1e9:.3f} s"
-        problem = f"scans and poses do not overlap in time: scans from {scan_span}, poses from {pose_span}"
-        raise DataError(scans, problem, hint=f"Give poses of the same drive and clock; these are from {source}")
-    warn_skipped(len(stamps) - len(kept), len(stamps), f"are outside the time span of the poses from {source}")
+        problem = (
+            f"scans and poses do not overlap in time: scans from {scan_span}, poses from "
+            f"{pose_span}"
+        )
+        raise DataError(
+            scans, problem, hint=f"Give poses of the same drive and clock; these are from {source}"
+        )
+    warn_skipped(
+        len(stamps) - len(kept),
+        len(stamps),
+        f"are outside the time span of the poses from {source}",
+    )
     return kept
 
 
@@ -158,11 +191,14 @@ def parse_points_in(points_in: str | None) -> str:
     return points_in or FRAMES[0]
 
 
-_HINT = "Give X,Y,Z,ROLL,PITCH,YAW in metres and degrees, or a file with one pose (12 numbers, or 4x4)"
+_HINT = (
+    "Give X,Y,Z,ROLL,PITCH,YAW in metres and degrees, or a file with one pose (12 numbers, or 4x4)"
+)
 
 
 def parse_extrinsic(text: str | None) -> F64 | None:
-    """T_vehicle_lidar from ``X,Y,Z,ROLL,PITCH,YAW``, metres and degrees, or from a file with one pose.
+    """T_vehicle_lidar from ``X,Y,Z,ROLL,PITCH,YAW``, metres and degrees, or from a file with one
+    pose.
 
     The rotation is yaw about z, then pitch about the new y, then roll about the new x, as in URDF.
 

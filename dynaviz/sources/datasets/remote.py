@@ -1,4 +1,6 @@
-"""Sequences at URLs that fsspec reads: files are fetched when they are needed, and kept in a folder of this machine.
+"""Sequences at URLs that fsspec reads.
+
+Files are fetched when they are needed, and kept in a folder of this machine.
 
 Each process fetches for itself, so workers of a cluster read the frames of their tiles only.
 """
@@ -19,14 +21,15 @@ from dynaviz.sources.datasets.benchmark import BenchmarkSequence
 CACHE = "DYNAVIZ_CACHE"
 """Environment variable: the folder for fetched files; by default ``~/.cache/dynaviz``."""
 _HINT = "Give the URL of a folder with pcd/*.pcd"
-_TRUTH, _FACTS = "gt_cloud.pcd", "sequence.toml"
+_TRUTH = "gt_cloud.pcd"
+_FACTS = "sequence.toml"
 
 
 class RemoteSequence(SequenceView):
     """A folder in the layout of the public benchmark at a URL.
 
-    A scan is fetched when it is read; with ground truth, all scans are fetched when the sequence is opened, because
-    ``gt_cloud.pcd`` is divided by their numbers of points.
+    A scan is fetched when it is read; with ground truth, all scans are fetched when the sequence is
+    opened, because ``gt_cloud.pcd`` is divided by their numbers of points.
 
     Raises:
         MissingDependency: if fsspec, or its package for this kind of URL, is not installed.
@@ -47,9 +50,17 @@ class RemoteSequence(SequenceView):
         except ValueError as error:
             raise DataError(url, f"is not a URL that can be read ({error})", hint=_HINT) from None
         home = Path(os.environ.get(CACHE) or Path.home() / ".cache" / "dynaviz")
-        self._cache = home / "remote" / hashlib.sha256(self.url.encode()).hexdigest()[:16] / self.url.rpartition("/")[2]
-        names, others = self._listed("pcd"), self._listed("")
-        scans = {int(name[:-4]): self._cache / "pcd" / name for name in names if name[:-4].isdigit()}
+        self._cache = (
+            home
+            / "remote"
+            / hashlib.sha256(self.url.encode()).hexdigest()[:16]
+            / self.url.rpartition("/")[2]
+        )
+        names = self._listed("pcd")
+        others = self._listed("")
+        scans = {
+            int(name[:-4]): self._cache / "pcd" / name for name in names if name[:-4].isdigit()
+        }
         if not scans:
             raise DataError(url, "has no pcd/*.pcd", hint=_HINT)
         for name in {_FACTS, _TRUTH} & set(others):
@@ -102,4 +113,6 @@ class RemoteSequence(SequenceView):
             try:
                 self._files.get_file(f"{self._root}/{name}", str(part))
             except Exception as error:  # each file system has its own types
-                raise DataError(f"{self.url}/{name}", f"cannot be fetched ({error})", hint=_HINT) from None
+                raise DataError(
+                    f"{self.url}/{name}", f"cannot be fetched ({error})", hint=_HINT
+                ) from None

@@ -30,13 +30,25 @@ from dynaviz.sources.datasets.pose_matching import (
 )
 from dynaviz.sources.datasets.transforms import Chain, TransformTree, frame_name
 from dynaviz.spatial import geometry
-from dynaviz.spatial.trajectory import FIELDS, Mounted, Moved, PosesOverTime, Trajectory, deskew, point_times, unit_of
+from dynaviz.spatial.trajectory import (
+    FIELDS,
+    Mounted,
+    Moved,
+    PosesOverTime,
+    Trajectory,
+    deskew,
+    point_times,
+    unit_of,
+)
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 SAMPLES = 5  # clouds used to determine the unit of the point times
-_POSES_HINT = "Estimate the poses with --poses small-gicp, or give a trajectory of the lidar with --poses FILE"
+_POSES_HINT = (
+    "Estimate the poses with --poses small-gicp, or give a trajectory of the lidar with --poses "
+    "FILE"
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +70,10 @@ class CloudTopic:
 
 @dataclass(frozen=True)
 class OdometryTopic:
-    """The poses of ``child`` in ``world`` from a topic; ``child`` is empty if the messages do not name it."""
+    """The poses of ``child`` in ``world`` from a topic.
+
+    ``child`` is empty if the messages do not name it.
+    """
 
     world: str
     child: str
@@ -67,14 +82,19 @@ class OdometryTopic:
 
 @dataclass(frozen=True)
 class RosBagSequence:
-    """A drive in a ROS bag: .bag, .mcap, .db3 or a folder with metadata.yaml; BAG#/topic selects a cloud topic.
+    """A drive in a ROS bag: .bag, .mcap, .db3 or a folder with metadata.yaml.
 
-    Poses come from the only nav_msgs/Odometry or geometry_msgs/PoseStamped topic or from TF, interpolated at the stamp
-    of each cloud; ``--poses`` selects a topic, a TF frame that is the world, or a file. Sweeps are deskewed if points
-    have times. Clouds before the first pose or after the last are skipped.
+    BAG#/topic selects a cloud topic.
+
+    Poses come from the only nav_msgs/Odometry or geometry_msgs/PoseStamped topic or from TF,
+    interpolated at the stamp of each cloud; ``--poses`` selects a topic, a TF frame that is the
+    world, or a file. Sweeps are deskewed if points have times. Clouds before the first pose or
+    after the last are skipped.
     """
 
-    layout: ClassVar[str] = "drive.bag, drive.mcap, or a folder with metadata.yaml and .db3 or .mcap"
+    layout: ClassVar[str] = (
+        "drive.bag, drive.mcap, or a folder with metadata.yaml and .db3 or .mcap"
+    )
 
     name: str
     sensor: Sensor
@@ -113,24 +133,37 @@ class RosBagSequence:
             extrinsic: pose of the lidar on the vehicle, if the poses are those of the vehicle.
 
         Raises:
-            DataError: if the bag is corrupt, has no clouds or no poses, or has several sources of either.
+            DataError: if the bag is corrupt, has no clouds or no poses, or has several sources of
+                either.
             UsageError: for a topic or frame that is not in the bag.
         """
-        frame, (file, topic) = parse_points_in(points_in), _split(path)
+        frame = parse_points_in(points_in)
+        (file, topic) = _split(path)
         if not file.exists():
-            raise DataError(file, "does not exist", hint="Give a .bag, .mcap, .db3 or a folder with metadata.yaml")
+            raise DataError(
+                file,
+                "does not exist",
+                hint="Give a .bag, .mcap, .db3 or a folder with metadata.yaml",
+            )
         bag = Bag(file)
         clouds, odometries, transforms = _read_index(bag, _cloud_topic(bag, topic))
         if poses == NO_POSES:
-            positions, description = np.arange(len(clouds.stamps)), "none"
+            positions = np.arange(len(clouds.stamps))
+            description = "none"
             trajectory: PosesOverTime = Trajectory(clouds.stamps[:1], np.eye(4)[None])
             T = trajectory.at(clouds.stamps)
         elif poses is not None and poses not in odometries and Path(poses).is_file():
-            matched = match_poses(Path(poses).absolute(), file, clouds.stamps, np.arange(len(clouds.stamps)))
-            positions, T, description = matched.positions, matched.poses, matched.description
+            matched = match_poses(
+                Path(poses).absolute(), file, clouds.stamps, np.arange(len(clouds.stamps))
+            )
+            positions = matched.positions
+            T = matched.poses
+            description = matched.description
             trajectory = matched.trajectory or Trajectory.of(clouds.stamps[positions], T)
         else:
-            trajectory, description = _pose_source(bag, clouds, odometries, transforms, poses, frame)
+            trajectory, description = _pose_source(
+                bag, clouds, odometries, transforms, poses, frame
+            )
             positions = covered_scans(trajectory, clouds.stamps, description, file)
             T = trajectory.at(clouds.stamps[positions])
         if (mount := parse_extrinsic(extrinsic)) is not None:
@@ -142,12 +175,29 @@ class RosBagSequence:
             T = trajectory.at(clouds.stamps[positions])
         if (np.diff(clouds.stamps) < 0).any():
             position = int(np.argmax(np.diff(clouds.stamps) < 0)) + 1
-            warnings.warn(f"{file}: the stamps of {clouds.topic} decrease at cloud {position}", stacklevel=2)
-        time_field = None if frame == "world" or deskew is False else _time_field(bag, clouds, positions)
-        facts = {"topic": f"{clouds.topic} (frame {clouds.frame})", "poses": description, "points in": f"{frame} frame",
+            warnings.warn(
+                f"{file}: the stamps of {clouds.topic} decrease at cloud {position}", stacklevel=2
+            )
+        time_field = (
+            None if frame == "world" or deskew is False else _time_field(bag, clouds, positions)
+        )
+        facts = {"topic": f"{clouds.topic} (frame "
+        f"{clouds.frame})", "poses": description, "points in": f"{frame} frame",
                  "deskewed": f"with the field {time_field[0]}" if time_field else "no",
                  **bag.contents}  # fmt: skip
-        return cls(file.stem, Sensor(), bag, clouds, positions, T, trajectory, frame, time_field, facts, origin)
+        return cls(
+            file.stem,
+            Sensor(),
+            bag,
+            clouds,
+            positions,
+            T,
+            trajectory,
+            frame,
+            time_field,
+            facts,
+            origin,
+        )
 
     @property
     def has_labels(self) -> bool:
@@ -169,9 +219,11 @@ class RosBagSequence:
 
     def __getitem__(self, position: int) -> Scan:
         k = int(self.positions[position])
-        stamp, T_world_sensor = int(self.clouds.stamps[k]), self.poses[position]
+        stamp = int(self.clouds.stamps[k])
+        T_world_sensor = self.poses[position]
         rows = _read_cloud(self.bag, self.clouds, k)
-        origins, offsets = None, None
+        origins = None
+        offsets = None
         with _valid_cloud(self.bag, self.clouds, k):
             points = cloud_xyz(rows)
         if self.time_field and self.time_field[0] in (rows.dtype.names or ()):
@@ -183,11 +235,14 @@ class RosBagSequence:
             points = geometry.transform(T_world_sensor, points)
         elif self.origin.any():
             points = single(coordinates(columns_of(rows)) - self.origin)
-        return Scan(k, points, T_world_sensor, stamp, origins=origins, times=offsets)  # type: ignore[arg-type]  # None: sensor
+        # None: sensor
+        return Scan(k, points, T_world_sensor, stamp, origins=origins, times=offsets)  # type: ignore[arg-type]
 
     def attributes(self, position: int) -> Attributes:
         """All fields of the message besides the coordinates, as they are in the message."""
-        return without_axes(columns_of(_read_cloud(self.bag, self.clouds, int(self.positions[position]))))
+        return without_axes(
+            columns_of(_read_cloud(self.bag, self.clouds, int(self.positions[position])))
+        )
 
     def unposed(self) -> Iterator[Unposed]:
         """The points of skipped clouds."""
@@ -195,7 +250,11 @@ class RosBagSequence:
             fields = columns_of(_read_cloud(self.bag, self.clouds, k))
             points = len(fields["x"])
             in_world = self.points_in == "world"
-            yield Unposed(points, coordinates(fields), without_axes(fields)) if in_world else Unposed(points)
+            yield (
+                Unposed(points, coordinates(fields), without_axes(fields))
+                if in_world
+                else Unposed(points)
+            )
 
 
 def _split(path: Path) -> tuple[Path, str | None]:
@@ -215,7 +274,9 @@ def _cloud_topic(bag: Bag, requested: str | None) -> str:
     names = ", ".join(topics)
     if requested is not None:
         if requested not in topics:
-            raise UsageError(f"{bag.path}#{requested}: no such PointCloud2 topic. Available: {names or 'none'}")
+            raise UsageError(
+                f"{bag.path}#{requested}: no such PointCloud2 topic. Available: {names or 'none'}"
+            )
         return requested
     if len(topics) == 1:
         return topics[0]
@@ -229,7 +290,8 @@ def _cloud_topic(bag: Bag, requested: str | None) -> str:
 
 def _read_index(bag: Bag, topic: str) -> tuple[CloudTopic, dict[str, OdometryTopic], TransformTree]:
     """Read the bag once: index of the clouds, poses of all odometry topics, and transforms."""
-    types, transforms = bag.topics, TransformTree()
+    types = bag.topics
+    transforms = TransformTree()
     keys: list[tuple[int, int]] = []
     stamps: list[int] = []
     frame = ""
@@ -243,7 +305,9 @@ def _read_index(bag: Bag, topic: str) -> tuple[CloudTopic, dict[str, OdometryTop
             stamp = _stamp(message.header)
             if time >= 1 << 63:
                 problem = f"recorded at {time} ns, which is not a time since 1970"
-                raise DataError(bag.path, problem, at=f"message {len(keys)} of {topic}", hint="Record it again")
+                raise DataError(
+                    bag.path, problem, at=f"message {len(keys)} of {topic}", hint="Record it again"
+                )
             keys.append((time, keys[-1][1] + 1 if keys and keys[-1][0] == time else 0))
             stamps.append(stamp or time)
             unstamped[source] += stamp == 0
@@ -251,22 +315,37 @@ def _read_index(bag: Bag, topic: str) -> tuple[CloudTopic, dict[str, OdometryTop
         elif types[source] in TRANSFORMS:
             for link in message.transforms:
                 T = _pose(bag, source, link.transform.translation, link.transform.rotation)
-                transforms.add(link.header.frame_id, link.child_frame_id, _stamp(link.header), T, "static" in source)
+                transforms.add(
+                    link.header.frame_id,
+                    link.child_frame_id,
+                    _stamp(link.header),
+                    T,
+                    "static" in source,
+                )
         else:
             pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
             stamp = _stamp(message.header)
-            poses[source].append((stamp or time, _pose(bag, source, pose.position, pose.orientation)))
+            poses[source].append(
+                (stamp or time, _pose(bag, source, pose.position, pose.orientation))
+            )
             unstamped[source] += stamp == 0
-            names[source] = frame_name(message.header.frame_id), frame_name(getattr(message, "child_frame_id", ""))
+            names[source] = (
+                frame_name(message.header.frame_id),
+                frame_name(getattr(message, "child_frame_id", "")),
+            )
     for name, count in (+unstamped).items():
         problem = f"{count} messages of {name} have no stamp; using their recording time"
         warnings.warn(f"{bag.path}: {problem}", stacklevel=3)
     transforms.build()
     odometries = {
-        name: OdometryTopic(*names[name], Trajectory.of([time for time, _ in samples], [T for _, T in samples]))
+        name: OdometryTopic(
+            *names[name], Trajectory.of([time for time, _ in samples], [T for _, T in samples])
+        )
         for name, samples in poses.items()
     }
-    clouds = CloudTopic(topic, frame_name(frame), np.array(keys, np.int64), np.array(stamps, np.int64))
+    clouds = CloudTopic(
+        topic, frame_name(frame), np.array(keys, np.int64), np.array(stamps, np.int64)
+    )
     return clouds, odometries, transforms
 
 
@@ -276,7 +355,9 @@ def _stamp(header: Any) -> int:
 
 def _pose(bag: Bag, topic: str, position: Any, rotation: Any) -> F64:
     try:
-        T = geometry.pose((position.x, position.y, position.z), (rotation.w, rotation.x, rotation.y, rotation.z))
+        T = geometry.pose(
+            (position.x, position.y, position.z), (rotation.w, rotation.x, rotation.y, rotation.z)
+        )
     except ValueError as error:
         raise DataError(bag.path, f"invalid pose ({error})", at=topic, hint=_POSES_HINT) from None
     return T
@@ -320,12 +401,17 @@ def _pose_source(
         raise DataError(bag.path, f"has several sources of poses: {', '.join(sources)}", hint=hint)
     if disconnected:
         topic = disconnected[0]
-        frame, child = clouds.frame or "the clouds", odometries[topic].child
+        frame = clouds.frame or "the clouds"
+        child = odometries[topic].child
         problem = f"{topic} has poses of {child}, but there is no TF from {frame} to it"
         raise DataError(bag.path, problem, hint=f"If both frames coincide, add --poses {topic}")
     problem = "has no poses: no nav_msgs/Odometry, no geometry_msgs/PoseStamped"
     hint = _POSES_HINT
-    raise NoPoses(bag.path, f"{problem}, and no TF from {clouds.frame or 'the clouds'} to a world frame", hint=hint)
+    raise NoPoses(
+        bag.path,
+        f"{problem}, and no TF from {clouds.frame or 'the clouds'} to a world frame",
+        hint=hint,
+    )
 
 
 def _requested_source(
@@ -341,31 +427,47 @@ def _requested_source(
         poses = _from_topic(bag, clouds, requested, odometries[requested], transforms, points_in)
         if poses is None:
             child = odometries[requested].child
-            problem = f"no TF from {clouds.frame} to {child}; using the poses of {requested} as those of the lidar"
+            problem = (
+                f"no TF from {clouds.frame} to {child}; using the poses of {requested} as those of "
+                "the lidar"
+            )
             warnings.warn(f"{bag.path}: {problem}", stacklevel=5)
         return poses or odometries[requested].trajectory, requested
     ancestors = transforms.ancestors(clouds.frame)[1:]
     if frame_name(requested) not in ancestors:
         choices = ", ".join([*odometries, *ancestors]) or "none"
-        problem = f"--poses {requested}: not a file, and not a topic or TF frame with poses in {bag.path}"
+        problem = (
+            f"--poses {requested}: not a file, and not a topic or TF frame with poses in {bag.path}"
+        )
         raise UsageError(f"{problem}. Available: {choices}")
     if points_in == "world":
         raise UsageError(
-            f"--points-in world: not supported with poses from TF. Give --poses TOPIC or --poses FILE, not {requested}"
+            "--points-in world: not supported with poses from TF. Give --poses TOPIC or --poses "
+            f"FILE, not {requested}"
         )
     return _from_transforms(transforms, frame_name(requested), clouds.frame)
 
 
-def _from_transforms(transforms: TransformTree, world: str, frame: str) -> tuple[PosesOverTime, str]:
+def _from_transforms(
+    transforms: TransformTree, world: str, frame: str
+) -> tuple[PosesOverTime, str]:
     chain = transforms.lookup(world, frame)
     assert chain is not None  # world is an ancestor of frame
     return chain, f"TF from {frame} to {world}"
 
 
 def _from_topic(
-    bag: Bag, clouds: CloudTopic, topic: str, odometry: OdometryTopic, transforms: TransformTree, points_in: str
+    bag: Bag,
+    clouds: CloudTopic,
+    topic: str,
+    odometry: OdometryTopic,
+    transforms: TransformTree,
+    points_in: str,
 ) -> PosesOverTime | None:
-    """Sensor poses from a topic; None if there is no transform from the sensor to the child frame of the topic."""
+    """Sensor poses from a topic.
+
+    None if there is no transform from the sensor to the child frame of the topic.
+    """
     if points_in == "world":
         return odometry.trajectory
     if clouds.frame and clouds.frame == odometry.world:
@@ -408,4 +510,6 @@ def _valid_cloud(bag: Bag, clouds: CloudTopic, k: int) -> Iterator[None]:
         yield
     except ValueError as error:
         at = f"message {k} of {clouds.topic}"
-        raise DataError(bag.path, f"invalid cloud: {error}", at=at, hint="Record it again") from None
+        raise DataError(
+            bag.path, f"invalid cloud: {error}", at=at, hint="Record it again"
+        ) from None

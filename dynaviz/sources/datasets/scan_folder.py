@@ -25,7 +25,13 @@ from dynaviz.io.pcd import Pcd, read_header
 from dynaviz.io.poses import find_poses, nanoseconds
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne, velodyne_attributes
-from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_extrinsic, parse_points_in
+from dynaviz.sources.datasets.pose_matching import (
+    NO_POSES,
+    MatchedPoses,
+    match_poses,
+    parse_extrinsic,
+    parse_points_in,
+)
 from dynaviz.sources.datasets.semantickitti import CLASS_NAMES, MOVING_CLASSES, UNLABELLED_CLASSES
 from dynaviz.spatial import geometry
 
@@ -33,7 +39,8 @@ SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
 # Folder names that do not identify a sequence.
 _GENERIC_NAMES = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")
 _NO_POSES = (
-    "Estimate them with --poses small-gicp, or give --poses FILE: KITTI (12 numbers per line), TUM (time x y z qx qy "
+    "Estimate them with --poses small-gicp, or give --poses FILE: KITTI (12 numbers per line), TUM "
+    "(time x y z qx qy "
     "qz qw) or CSV with a header"
 )
 
@@ -42,12 +49,15 @@ _NO_POSES = (
 class ScanFolderSequence:
     """Scans as numbered or stamped files (.bin .pcd .ply .npy .npz .las .laz) with a pose file.
 
-    The poses come from ``--poses FILE``, from ``poses.txt``, ``trajectory.txt``, ``*.tum``, ``poses.csv`` ... next to
-    the scans or their folder, or from the VIEWPOINT of PCD files. Labels are optional: ``labels/NAME.label``
-    (SemanticKITTI; classes 0 and 1 are unlabelled) or ``labels/NAME.npy`` (0 static, 1 dynamic, 255 unlabelled).
+    The poses come from ``--poses FILE``, from ``poses.txt``, ``trajectory.txt``, ``*.tum``,
+    ``poses.csv`` ... next to the scans or their folder, or from the VIEWPOINT of PCD files. Labels
+    are optional: ``labels/NAME.label`` (SemanticKITTI; classes 0 and 1 are unlabelled) or
+    ``labels/NAME.npy`` (0 static, 1 dynamic, 255 unlabelled).
     """
 
-    layout: ClassVar[str] = "scans 000000.bin, .pcd, .ply, .npy, .npz, .las or .laz with poses.txt, *.tum or poses.csv"
+    layout: ClassVar[str] = (
+        "scans 000000.bin, .pcd, .ply, .npy, .npz, .las or .laz with poses.txt, *.tum or poses.csv"
+    )
     fallback: ClassVar[bool] = True
 
     folder: Path
@@ -61,18 +71,26 @@ class ScanFolderSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a folder, or its only subfolder with scans, contains scans, judged by file names only."""
+        """Whether a folder, or its only subfolder with scans, contains scans, judged by file names
+        only.
+        """
         return path.is_dir() and _scans_in(path) is not None
 
     @classmethod
     def open(
-        cls, path: Path, *, poses: str | None = None, points_in: str | None = None, extrinsic: str | None = None
+        cls,
+        path: Path,
+        *,
+        poses: str | None = None,
+        points_in: str | None = None,
+        extrinsic: str | None = None,
     ) -> Self:
         """Open a folder.
 
         Args:
             path: folder of the scans, or the parent of the only folder with scans.
-            poses: pose file; None searches next to the scans; ``none`` leaves each scan in its own frame.
+            poses: pose file; None searches next to the scans; ``none`` leaves each scan in its own
+                frame.
             points_in: ``sensor`` (default) or ``world``: the frame of the points in the files.
             extrinsic: pose of the sensor on the vehicle, if the poses are those of the vehicle.
 
@@ -86,12 +104,24 @@ class ScanFolderSequence:
             hint = f"Scans end in {', '.join(SUFFIXES)} and are named by number or stamp"
             raise DataError(path, _describe_missing_scans(path), hint=hint)
         scans, numbers, stamps = _sorted_scans(folder)
-        sequence_folder = folder.parent if folder != path or folder.name.lower() in _GENERIC_NAMES else folder
+        sequence_folder = (
+            folder.parent if folder != path or folder.name.lower() in _GENERIC_NAMES else folder
+        )
         if poses == NO_POSES:
-            matched = MatchedPoses(np.arange(len(scans)), np.tile(np.eye(4), (len(scans), 1, 1)), stamps, "none")
+            matched = MatchedPoses(
+                np.arange(len(scans)), np.tile(np.eye(4), (len(scans), 1, 1)), stamps, "none"
+            )
         else:
-            file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(sequence_folder)
-            matched = match_poses(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
+            file = (
+                Path(poses).absolute()
+                if poses
+                else find_poses(folder) or find_poses(sequence_folder)
+            )
+            matched = (
+                match_poses(file, folder, stamps, numbers)
+                if file
+                else _viewpoints(folder, scans, stamps)
+            )
         mount = parse_extrinsic(extrinsic)
         matched = (matched if mount is None else matched.mounted(mount)).near_zero()
         kept = matched.positions.tolist()
@@ -99,12 +129,25 @@ class ScanFolderSequence:
         columns = detect_columns(scans[0]) if scans[0].suffix.lower() == ".bin" else ()
         posed = set(kept)
         skipped = tuple(scan for k, scan in enumerate(scans) if k not in posed)
-        return cls(folder, Sensor(), tuple(scans[k] for k in kept), indices, matched, frame, columns, skipped)
+        return cls(
+            folder,
+            Sensor(),
+            tuple(scans[k] for k in kept),
+            indices,
+            matched,
+            frame,
+            columns,
+            skipped,
+        )
 
     @property
     def name(self) -> str:
-        """Name of the folder, or of its parent if the folder has a generic name such as ``scans``."""
-        return (self.folder.parent if self.folder.name.lower() in _GENERIC_NAMES else self.folder).name or "scans"
+        """Name of the folder, or of its parent if the folder has a generic name such
+        as ``scans``.
+        """
+        return (
+            self.folder.parent if self.folder.name.lower() in _GENERIC_NAMES else self.folder
+        ).name or "scans"
 
     @cached_property
     def has_labels(self) -> bool:
@@ -118,7 +161,9 @@ class ScanFolderSequence:
         if self.columns not in ((), FIELDS[:4]):
             facts["columns"] = " ".join(self.columns)
         if self.origin.any():
-            facts["origin"] = " ".join(f"{x:.0f}" for x in self.origin) + " m, subtracted here and added in maps"
+            facts["origin"] = (
+                " ".join(f"{x:.0f}" for x in self.origin) + " m, subtracted here and added in maps"
+            )
         return facts
 
     @property
@@ -139,7 +184,8 @@ class ScanFolderSequence:
         return self.scans[self.indices.index(index)] if index in self.indices else None
 
     def __getitem__(self, position: int) -> Scan:
-        path, T_world_sensor = self.scans[position], self.matched.poses[position]
+        path = self.scans[position]
+        T_world_sensor = self.matched.poses[position]
         xyz = self._points(path)
         labels, classes, instances = self._labels(path, len(xyz))
         stamps = self.matched.stamps
@@ -164,7 +210,10 @@ class ScanFolderSequence:
             return self._given(self.scans[position])
         if self._given_type == np.float32:
             return None
-        return geometry.apply(self.matched.poses[position], self._given(self.scans[position])) + self.origin
+        return (
+            geometry.apply(self.matched.poses[position], self._given(self.scans[position]))
+            + self.origin
+        )
 
     @cached_property
     def _given_type(self) -> np.dtype[Any]:
@@ -175,7 +224,11 @@ class ScanFolderSequence:
     def las_file(self) -> Path | None:
         """The first scan, if it is a LAS or LAZ file in the world frame."""
         first = self.scans[0]
-        return first if self.points_in == "world" and first.suffix.lower() in (".las", ".laz") else None
+        return (
+            first
+            if self.points_in == "world" and first.suffix.lower() in (".las", ".laz")
+            else None
+        )
 
     def unposed(self) -> Iterator[Unposed]:
         """The points of scans without a pose."""
@@ -213,10 +266,17 @@ class ScanFolderSequence:
         return None
 
     def _labels(self, scan: Path, points: int) -> tuple[U8 | None, U16 | None, I32 | None]:
-        """Labels, classes and instances of a scan; all unlabelled if only other scans have labels."""
+        """Labels, classes and instances of a scan.
+
+        All unlabelled if only other scans have labels.
+        """
         file = self._label_file(scan)
         if file is None:
-            return (np.full(points, Label.UNLABELLED, np.uint8) if self.has_labels else None), None, None
+            return (
+                (np.full(points, Label.UNLABELLED, np.uint8) if self.has_labels else None),
+                None,
+                None,
+            )
         if file.suffix == ".npy":
             return _label_array(file, points), None, None
         classes, instances = read_semantic_labels(file, points)
@@ -243,7 +303,11 @@ def _entries(folder: Path) -> list[Path]:
 
 def _scan_files(folder: Path) -> list[Path]:
     """Files that look like scans: a supported suffix, and a digit at the end of the name."""
-    return [path for path in _entries(folder) if path.suffix.lower() in SUFFIXES and path.stem[-1:].isdigit()]
+    return [
+        path
+        for path in _entries(folder)
+        if path.suffix.lower() in SUFFIXES and path.stem[-1:].isdigit()
+    ]
 
 
 def _scans_in(path: Path) -> Path | None:
@@ -251,13 +315,17 @@ def _scans_in(path: Path) -> Path | None:
     if _scan_files(path):
         return path
     candidates = [
-        folder for folder in _entries(path) if folder.is_dir() and folder.name != "labels" and _scan_files(folder)
+        folder
+        for folder in _entries(path)
+        if folder.is_dir() and folder.name != "labels" and _scan_files(folder)
     ]
     return candidates[0] if len(candidates) == 1 else None
 
 
 def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
-    """The scans in order, their numbers, and their stamps if the names are stamps: ten digits or a decimal point.
+    """The scans in order, their numbers, and their stamps if the names are stamps.
+
+    Ten digits or a decimal point.
 
     Raises:
         DataError: for files of several formats, or two files with the same number.
@@ -266,21 +334,31 @@ def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
     suffixes = Counter(path.suffix.lower() for path in files)
     if len(suffixes) > 1:
         counts = ", ".join(f"{suffix} ({count})" for suffix, count in suffixes.most_common())
-        raise DataError(folder, f"contains scans in several formats: {counts}", hint="Keep one format per folder")
-    texts = [re.search(r"\d+(?:\.\d+)?$", path.stem)[0] for path in files]  # type: ignore[index]  # the name ends in a digit
+        raise DataError(
+            folder,
+            f"contains scans in several formats: {counts}",
+            hint="Keep one format per folder",
+        )
+    # the name ends in a digit
+    texts = [re.search(r"\d+(?:\.\d+)?$", path.stem)[0] for path in files]  # type: ignore[index]
     stamped = all("." in text or len(text) >= 10 for text in texts)
     keys = [
-        _stamp(file, text) if stamped else int(text.replace(".", "")) for file, text in zip(files, texts, strict=True)
+        _stamp(file, text) if stamped else int(text.replace(".", ""))
+        for file, text in zip(files, texts, strict=True)
     ]
     order = sorted(range(len(files)), key=lambda k: (keys[k], files[k].name))
     for a, b in pairwise(order):
         if keys[a] == keys[b]:
-            raise DataError(files[b], f"has the same number as {files[a].name}", hint="Remove one of them")
+            raise DataError(
+                files[b], f"has the same number as {files[a].name}", hint="Remove one of them"
+            )
     try:
         numbers = np.array([keys[k] for k in order], np.int64)
     except OverflowError:
         raise DataError(
-            files[order[-1]], "the number in the name is too large", hint="Name scans by number or stamp"
+            files[order[-1]],
+            "the number in the name is too large",
+            hint="Name scans by number or stamp",
         ) from None
     return [files[k] for k in order], numbers, numbers if stamped else None
 
@@ -303,12 +381,16 @@ def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> Matc
     poses = []
     for path in scans:
         header = read_header(path) if path.suffix.lower() == ".pcd" else None
-        T_world_sensor = None if header is None else Pcd(path, header, np.empty(0, header.row)).T_world_sensor
+        T_world_sensor = (
+            None if header is None else Pcd(path, header, np.empty(0, header.row)).T_world_sensor
+        )
         if T_world_sensor is None:
             raise NoPoses(folder, "has no poses", hint=_NO_POSES)
         poses.append(T_world_sensor)
     if all(np.array_equal(T, np.eye(4)) for T in poses):
-        raise NoPoses(folder, "has no poses: VIEWPOINT is the identity in every scan", hint=_NO_POSES)
+        raise NoPoses(
+            folder, "has no poses: VIEWPOINT is the identity in every scan", hint=_NO_POSES
+        )
     return MatchedPoses(np.arange(len(poses)), np.array(poses), stamps, "VIEWPOINT of each PCD")
 
 
@@ -317,8 +399,16 @@ def _label_array(path: Path, points: int) -> U8:
     hint = f"Save ({points},) integers: 0 static, 1 dynamic, 255 unlabelled"
     with open_npy(path, "NPY file", hint) as labels:
         pass
-    if not isinstance(labels, np.ndarray) or labels.shape != (points,) or labels.dtype.kind not in "iub":
-        raise DataError(path, f"contains {getattr(labels, 'shape', 'several arrays')} for {points} points", hint=hint)
+    if (
+        not isinstance(labels, np.ndarray)
+        or labels.shape != (points,)
+        or labels.dtype.kind not in "iub"
+    ):
+        raise DataError(
+            path,
+            f"contains {getattr(labels, 'shape', 'several arrays')} for {points} points",
+            hint=hint,
+        )
     if not np.isin(labels, [*Label]).all():
         raise DataError(path, f"{labels[~np.isin(labels, [*Label])][0]} is not a label", hint=hint)
     return labels.astype(np.uint8)

@@ -1,4 +1,6 @@
-"""The transform tree of a bag, from /tf and /tf_static, and transforms between its frames over time."""
+"""The transform tree of a bag, from /tf and /tf_static, and transforms between its frames over
+time.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,8 @@ class TransformTree:
 
     Attributes:
         parents: the parent of each frame; the last one added.
-        links: T_parent_frame of each frame over time; a single pose if it never moves. Set by ``build``.
+        links: T_parent_frame of each frame over time; a single pose if it never moves. Set by
+            ``build``.
     """
 
     parents: dict[str, str] = field(default_factory=dict)
@@ -68,9 +71,12 @@ class TransformTree:
     def build(self) -> None:
         """Make the links, after all transforms were added."""
         for child, samples in self._samples.items():
-            times, poses = np.array([time for time, _ in samples], np.int64), np.array([T for _, T in samples])
+            times = np.array([time for time, _ in samples], np.int64)
+            poses = np.array([T for _, T in samples])
             moves = np.abs(poses - poses[0]).max() > 1e-9
-            self.links[child] = Trajectory.of(times, poses) if moves else Trajectory(times[:1], poses[:1])
+            self.links[child] = (
+                Trajectory.of(times, poses) if moves else Trajectory(times[:1], poses[:1])
+            )
 
     def ancestors(self, frame: str) -> list[str]:
         """The frame and its ancestors, up to the root."""
@@ -81,7 +87,8 @@ class TransformTree:
 
     def lookup(self, a: str, b: str) -> Chain | None:
         """T_a_b over time; None if the frames are not connected."""
-        up_a, up_b = self.ancestors(a), self.ancestors(b)
+        up_a = self.ancestors(a)
+        up_b = self.ancestors(b)
         shared = next((frame for frame in up_b if frame in up_a), None)
         if shared is None:
             return None
@@ -90,8 +97,12 @@ class TransformTree:
         return Chain((*up, *down))
 
     def world_candidates(self, frame: str) -> list[str]:
-        """Ancestors that may be the world: the frame moves in them, or they have the usual name of a fixed frame."""
-        moving, candidates = False, []
+        """Ancestors that may be the world.
+
+        The frame moves in them, or they have the usual name of a fixed frame.
+        """
+        moving = False
+        candidates = []
         for child, parent in pairwise(self.ancestors(frame)):
             moving |= len(self.links[child].times) > 1
             name = parent.rpartition("/")[2]

@@ -1,4 +1,7 @@
-"""Ground truth of the public benchmark: one labelled cloud of all scans, matched to the points of each scan."""
+"""Ground truth of the public benchmark.
+
+One labelled cloud of all scans, matched to the points of each scan.
+"""
 
 from __future__ import annotations
 
@@ -51,9 +54,9 @@ def scan_fields(truth: Truth | None, class_names: Mapping[int, str]) -> dict[str
 class GroundTruth:
     """The labelled cloud ``gt_cloud.pcd``.
 
-    Usually it is the concatenation of all scans, and only the rows of a scan are read. If counts or coordinates differ,
-    each point takes the label of the nearest point of the cloud within ``MATCH_RADIUS``, and the whole
-    cloud is kept in memory.
+    Usually it is the concatenation of all scans, and only the rows of a scan are read. If counts or
+    coordinates differ, each point takes the label of the nearest point of the cloud within
+    ``MATCH_RADIUS``, and the whole cloud is kept in memory.
 
     Args:
         path: the cloud.
@@ -65,18 +68,23 @@ class GroundTruth:
     """
 
     def __init__(self, path: Path, counts: Sequence[int], points_of: Callable[[int], F32]) -> None:
-        self.path, header = path, read_header(path)
+        self.path = path
+        header = read_header(path)
         if "intensity" not in (header.row.names or ()):
             fields = " ".join(header.row.names or ())
             raise DataError(path, f"field 'intensity' is missing (found: {fields})", hint=_HINT)
         starts = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         if not header.points:
-            raise DataError(path, "contains no points", hint="Remove it if there is no ground truth")
+            raise DataError(
+                path, "contains no points", hint="Remove it if there is no ground truth"
+            )
         self._row_ranges = list(pairwise(starts.tolist()))
         self._sliceable = header.data == "binary"  # other encodings are read completely
         same_count = header.points == starts[-1]
         samples = sorted({0, len(counts) // 2, len(counts) - 1})
-        self.by_index = same_count and all(_identical(self._scan_rows(k).xyz, points_of(k)) for k in samples)
+        self.by_index = same_count and all(
+            _identical(self._scan_rows(k).xyz, points_of(k)) for k in samples
+        )
 
     def for_scan(self, position: int, points: F32) -> Truth:
         """Ground truth of the points of a scan, (N, 3) float32, world frame.
@@ -101,9 +109,13 @@ class GroundTruth:
         row = np.zeros(len(points), np.intp)
         distance = np.full(len(points), np.inf)
         finite = np.isfinite(points).all(1)
-        distance[finite], row[finite] = self._tree.query(points[finite], distance_upper_bound=MATCH_RADIUS)
+        distance[finite], row[finite] = self._tree.query(
+            points[finite], distance_upper_bound=MATCH_RADIUS
+        )
         matched = np.isfinite(distance)
-        return _truth(Pcd(self.path, self._cloud.header, self._cloud.rows[np.where(matched, row, 0)]), matched)
+        return _truth(
+            Pcd(self.path, self._cloud.header, self._cloud.rows[np.where(matched, row, 0)]), matched
+        )
 
     @cached_property
     def _cloud(self) -> Pcd:
@@ -115,7 +127,8 @@ class GroundTruth:
 
         xyz = self._cloud.xyz
         finite = np.where(np.isfinite(xyz).all(1, keepdims=True), xyz, np.float32(1e9))
-        return cKDTree(finite, compact_nodes=False, balanced_tree=False)  # builds three times faster
+        # builds three times faster
+        return cKDTree(finite, compact_nodes=False, balanced_tree=False)
 
 
 def _identical(a: F32, b: F32) -> bool:
@@ -132,7 +145,9 @@ def _truth(rows: Pcd, matched: Bool) -> Truth:
     labels[known & (intensity == Label.DYNAMIC)] = Label.DYNAMIC
     invalid = known & (labels == Label.UNLABELLED)
     if invalid.any():
-        raise DataError(rows.path, f"intensity {intensity[invalid][0]:g} is not a label", hint=_HINT)
+        raise DataError(
+            rows.path, f"intensity {intensity[invalid][0]:g} is not a label", hint=_HINT
+        )
     classes = rows["class"].astype(np.uint16) * matched if "class" in rows else None
     instances = rows["instance"].astype(np.int32) * matched if "instance" in rows else None
     return Truth(labels, classes, instances, int(len(matched) - matched.sum()))

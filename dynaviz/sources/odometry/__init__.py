@@ -1,4 +1,7 @@
-"""Poses where there are none: odometries, which are plug-ins (entry point group ``dynaviz.odometries``)."""
+"""Poses where there are none.
+
+Odometries, which are plug-ins (entry point group ``dynaviz.odometries``).
+"""
 
 from dynaviz.sources.odometry.estimate import EstimatedPoses, Odometry, estimate
 

@@ -1,4 +1,6 @@
-"""Estimate the poses of a sequence with an odometry, and cache them in a file that ``--poses`` reads."""
+"""Estimate the poses of a sequence with an odometry, and cache them in a file that ``--poses``
+reads.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,8 @@ class Odometry(Protocol):
     """Estimates poses, one sweep after the other.
 
     Attributes:
-        reference: time in the sweep to which its pose refers, for sweeps whose points have times: 0 for the first
-            point, 1 for the last.
+        reference: time in the sweep to which its pose refers, for sweeps whose points have times: 0
+            for the first point, 1 for the last.
         package: the distribution that implements it, whose version is part of the cache's key.
 
     Args:
@@ -48,8 +50,8 @@ class Odometry(Protocol):
 
         Args:
             points: (N, 3) float64, metres, sensor frame, each at its own time; finite.
-            times: (N,) float64, seconds; when each point was measured. None if the sweep is already compensated for
-                motion, or the times are unknown.
+            times: (N,) float64, seconds; when each point was measured. None if the sweep is already
+                compensated for motion, or the times are unknown.
 
         Returns:
             (4, 4) float64, metres: the pose in the frame of the first sweep.
@@ -89,11 +91,17 @@ class EstimatedPoses:
 
     def __str__(self) -> str:
         times = f"{self.seconds:.0f} s" + (", estimated by an earlier run" if self.reused else "")
-        return f"{self.odometry} {self.version}: {self.distance:.1f} m in {self.frames:,} sweeps ({times})"
+        return (
+            f"{self.odometry} {self.version}: {self.distance:.1f} m in {self.frames:,} sweeps "
+            f"({times})"
+        )
 
 
-def estimate(name: str, sequence: Sequence, folder: Path, raw: bool, progress: Progress = silent) -> EstimatedPoses:
-    """Estimate poses, or find those that an earlier call wrote into the same folder for the same data.
+def estimate(
+    name: str, sequence: Sequence, folder: Path, raw: bool, progress: Progress = silent
+) -> EstimatedPoses:
+    """Estimate poses, or find those that an earlier call wrote into the same folder for the same
+    data.
 
     Sweeps that are not compensated for motion are registered twice.
 
@@ -101,7 +109,8 @@ def estimate(name: str, sequence: Sequence, folder: Path, raw: bool, progress: P
         name: of the odometry (``dynaviz list odometries``).
         sequence: its points are transformed to the sensor frame with its own poses.
         folder: where to write ``poses_NAME.csv`` and ``poses_NAME.toml``.
-        raw: whether ``Scan.times`` say when points were measured, and the points are not yet compensated for motion.
+        raw: whether ``Scan.times`` say when points were measured, and the points are not yet
+            compensated for motion.
         progress: called after each sweep.
 
     Raises:
@@ -110,8 +119,11 @@ def estimate(name: str, sequence: Sequence, folder: Path, raw: bool, progress: P
         DataError: for data that cannot be read, or files that cannot be written.
     """
     kind: type[Odometry] = registry.load("odometries", name)
-    file, note = folder / f"poses_{name}.csv", folder / f"poses_{name}.toml"
-    sample = [sequence[k] for k in np.unique(np.linspace(0, len(sequence) - 1, _SAMPLES).astype(int))]
+    file = folder / f"poses_{name}.csv"
+    note = folder / f"poses_{name}.toml"
+    sample = [
+        sequence[k] for k in np.unique(np.linspace(0, len(sequence) - 1, _SAMPLES).astype(int))
+    ]
     reach = reach_of(sample)
     first = kind(reach)  # raises MissingDependency before the sequence is read
     key = _key(kind, name, sequence, sample)
@@ -146,21 +158,27 @@ class _Way:
     deskewed: bool
 
 
-def _register(odometry: Odometry, sequence: Sequence, raw: bool, path: Trajectory | None, progress: Progress) -> _Way:
+def _register(
+    odometry: Odometry, sequence: Sequence, raw: bool, path: Trajectory | None, progress: Progress
+) -> _Way:
     """Register all sweeps.
 
-    The first pass (path None) leaves deskewing to the odometry, which does not know yet how the sensor moves on: the
-    first sweeps, and those where a vehicle brakes or pitches, stay distorted. The second deskews with the poses of the
-    first.
+    The first pass (path None) leaves deskewing to the odometry, which does not know yet how the
+    sensor moves on: the first sweeps, and those where a vehicle brakes or pitches, stay distorted.
+    The second deskews with the poses of the first.
     """
-    poses, moments, frames, deskewed = [], list[int](), list[Scan](), False
+    poses = []
+    moments = list[int]()
+    frames = list[Scan]()
+    deskewed = False
     for done, scan in enumerate(stream(sequence), 1):
         points, times = _sensor_frame(scan, raw)
         moment = _moment(scan, times, odometry.reference)
         deskewed |= times is not None
         if path is not None and times is not None:
             own = (scan.stamp_ns or 0) + np.round(times * 1e9).astype(np.int64)
-            points, times = deskewed_along(points, own, path, moment), None
+            points = deskewed_along(points, own, path, moment)
+            times = None
         poses.append(odometry.register(points, times))
         moments.append(moment)
         frames.append(without_points(scan))
@@ -182,7 +200,8 @@ def _moment(scan: Scan, times: F64 | None, reference: float) -> int:
     stamp = scan.stamp_ns or 0
     if times is None or not len(times):
         return stamp
-    first, last = float(times.min()), float(times.max())
+    first = float(times.min())
+    last = float(times.max())
     return stamp + round((first + reference * (last - first)) * 1e9)
 
 

@@ -26,7 +26,11 @@ def is_odometry(poses: str) -> bool:
 
 
 def estimate_poses(
-    source: str | Sequence, odometry: str, folder: Path | None, options: SequenceOptions, progress: Progress = silent
+    source: str | Sequence,
+    odometry: str,
+    folder: Path | None,
+    options: SequenceOptions,
+    progress: Progress = silent,
 ) -> EstimatedPoses:
     """Estimate the poses of the chosen frames of a sequence, or find those of an earlier call.
 
@@ -41,17 +45,29 @@ def estimate_poses(
         UsageError, DataError, MissingDependency: as ``open_sequence`` and ``estimate``.
     """
     if options.points_in == "world":
-        raise UsageError(f"--poses {odometry}: needs points in the sensor frame, not --points-in world")
+        raise UsageError(
+            f"--poses {odometry}: needs points in the sensor frame, not --points-in world"
+        )
     if options.extrinsic is not None:
-        raise UsageError(f"--poses {odometry}: estimates the poses of the lidar itself; leave out --extrinsic")
+        raise UsageError(
+            f"--poses {odometry}: estimates the poses of the lidar itself; leave out --extrinsic"
+        )
     own = _with_fixed_poses(source, options)
     raw = select_frames(_raw(source, options) if own is None else own, options.frames)
     compensate = own is None and options.deskew is not False
-    return estimate(odometry, raw, Path("recordings") / raw.name if folder is None else folder, compensate, progress)
+    return estimate(
+        odometry,
+        raw,
+        Path("recordings") / raw.name if folder is None else folder,
+        compensate,
+        progress,
+    )
 
 
 def with_estimated(source: str | Sequence, file: Path, options: SequenceOptions) -> Sequence:
-    """The chosen frames of a sequence with the poses of a file that ``estimate_poses`` wrote. The stride is left out.
+    """The chosen frames of a sequence with the poses of a file that ``estimate_poses`` wrote.
+
+    The stride is left out.
 
     Args:
         source, options: as for ``estimate_poses``.
@@ -62,7 +78,8 @@ def with_estimated(source: str | Sequence, file: Path, options: SequenceOptions)
     assert isinstance(source, str)
     frames = len(select_frames(_raw(source, options), options.frames))
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*are skipped")  # the frames that were not selected
+        # the frames that were not selected
+        warnings.filterwarnings("ignore", message=".*are skipped")
         opened = open_sequence(source, poses=str(file), **options.of_format)
     # The pose at the end of the last sweep may cover the stamp of the sweep after it.
     return select_frames(opened, f":{frames}" if len(opened) > frames else None)
@@ -76,7 +93,9 @@ def _with_fixed_poses(source: str | Sequence, options: SequenceOptions) -> Seque
         own = open_sequence(source, **options.of_format)
     except DataError:
         return None
-    return None if "poses" in inspect.signature(getattr(type(own), "open", _raw)).parameters else own
+    return (
+        None if "poses" in inspect.signature(getattr(type(own), "open", _raw)).parameters else own
+    )
 
 
 def _raw(source: str | Sequence, options: SequenceOptions) -> Sequence:

@@ -1,4 +1,7 @@
-"""KISS-ICP (Vizzo et al., RA-L 2023): point-to-point registration to a local map, with a constant velocity model."""
+"""KISS-ICP (Vizzo et al., RA-L 2023).
+
+Point-to-point registration to a local map, with a constant velocity model.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,9 @@ from dynaviz.arrays import F64
 from dynaviz.errors import MissingDependency
 from dynaviz.spatial.motion import deskewed_to_middle
 
-LONGEST, SHORTEST = 100.0, 20.0  # metres; bounds of the range that is used
+# metres; bounds of the range that is used
+LONGEST = 100.0
+SHORTEST = 20.0
 
 
 class KissIcp:
@@ -18,9 +23,9 @@ class KissIcp:
 
     It runs in one thread: sums in several threads differ from run to run.
 
-    Sweeps are deskewed to their middle, not by KISS-ICP to their end: the speed is unknown in the first sweeps, and
-    what they place in the map is right for their middle on average. Deskewed to the end, all later sweeps would be
-    half a sweep's way apart from it.
+    Sweeps are deskewed to their middle, not by KISS-ICP to their end: the speed is unknown in the
+    first sweeps, and what they place in the map is right for their middle on average. Deskewed to
+    the end, all later sweeps would be half a sweep's way apart from it.
     """
 
     reference: ClassVar[float] = 0.5
@@ -32,7 +37,8 @@ class KissIcp:
             from kiss_icp.kiss_icp import KissICP
         except ModuleNotFoundError:
             raise MissingDependency(
-                "estimating poses needs KISS-ICP. Install it with: pip install kiss-icp, or give poses with "
+                "estimating poses needs KISS-ICP. Install it with: pip install kiss-icp, or give "
+                "poses with "
                 "--poses FILE"
             ) from None
         config: Any = KISSConfig()

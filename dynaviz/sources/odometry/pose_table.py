@@ -15,16 +15,18 @@ from dynaviz.spatial.motion import smoothed
 from dynaviz.spatial.trajectory import Trajectory
 
 
-def write_pose_table(file: Path, frames: Iterable[Scan], poses: F64, moments: I64 | None = None) -> None:
+def write_pose_table(
+    file: Path, frames: Iterable[Scan], poses: F64, moments: I64 | None = None
+) -> None:
     """Write poses by stamp, or by number if a frame has no stamp or two have the same.
 
     Args:
         file: CSV file.
         frames: the sweeps; only their numbers and stamps are used.
         poses: (frames, 4, 4) float64, metres.
-        moments: (frames,) int64, nanoseconds: the times to which the poses refer, if they are not the stamps. These
-            times, a few between them and the stamps have a line, so that no sweep lies outside, and straight lines
-            between the lines of the table follow the motion.
+        moments: (frames,) int64, nanoseconds: the times to which the poses refer, if they are not
+            the stamps. These times, a few between them and the stamps have a line, so that no sweep
+            lies outside, and straight lines between the lines of the table follow the motion.
     """
     frames = tuple(frames)
     stamps = [frame.stamp_ns for frame in frames]
@@ -51,10 +53,14 @@ def write_pose_rows(
         by_stamp: whether the numbers are stamps.
         lidars: number of the lidar of each row; None if there is only one.
     """
-    names = ["stamp [ns]" if by_stamp else "index", *(f"T{row}{column}" for row in range(3) for column in range(4))]
+    names = [
+        "stamp [ns]" if by_stamp else "index",
+        *(f"T{row}{column}" for row in range(3) for column in range(4)),
+    ]
     lines = [[str(number), *(f"{x:.17g}" for x in T[:3].ravel())] for number, T in rows]
     if lidars is not None:
-        names, lines = [*names, LIDAR], [[*line, str(lidar)] for line, lidar in zip(lines, lidars, strict=True)]
+        names = [*names, LIDAR]
+        lines = [[*line, str(lidar)] for line, lidar in zip(lines, lidars, strict=True)]
     write_atomic(file, "\n".join([*map(",".join, [names, *lines]), ""]).encode())
 
 

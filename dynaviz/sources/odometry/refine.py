@@ -1,8 +1,9 @@
 """Refine poses: register each scan to a local map of the scans around it (open3d, point to plane).
 
-Every scan is registered to the scans that are 1, 2, 4 and 7 frames before and after it, with the poses refined so far;
-once forwards and once backwards through the sequence. Errors that change from frame to frame vanish; slow ones stay,
-because neighbours share them. A robust kernel gives points on moving objects little weight.
+Every scan is registered to the scans that are 1, 2, 4 and 7 frames before and after it, with the
+poses refined so far; once forwards and once backwards through the sequence. Errors that change from
+frame to frame vanish; slow ones stay, because neighbours share them. A robust kernel gives points
+on moving objects little weight.
 """
 
 from __future__ import annotations
@@ -36,13 +37,19 @@ from dynaviz.spatial import geometry, open3d
 
 FORMAT = 1  # of the cache; a change makes earlier caches invalid
 NEIGHBOURS = (1, 2, 4, 7)  # frames before and after a scan
-NEAREST, FARTHEST = 2.0, 50.0  # metres from the sensor
-FINEST, COARSEST = 0.2, 0.5  # metres; edge of the voxels that thin out scans
+# metres from the sensor
+NEAREST = 2.0
+FARTHEST = 50.0
+# metres; edge of the voxels that thin out scans
+FINEST = 0.2
+COARSEST = 0.5
 FEWEST = 200  # voxels of a scan that is registered
 PAIRED = 0.3  # metres; largest distance of a point from the local map
 KERNEL = 0.05  # metres; Geman-McClure
 ITERATIONS = 15
-LARGEST_STEP, LARGEST_TURN = 0.5, 3.0  # metres and degrees; a larger correction is a failed registration
+# metres and degrees; a larger correction is a failed registration
+LARGEST_STEP = 0.5
+LARGEST_TURN = 3.0
 
 
 @dataclass(frozen=True)
@@ -67,21 +74,28 @@ class RefinedSequence(ReposedSequence):
         return origin_of(self.whole)
 
 
-def refine(sequence: Sequence, folder: Path | None = None, progress: Progress = silent) -> RefinedSequence:
-    """Refine the poses of a sequence, or find those that an earlier call wrote into the same folder for the same data.
+def refine(
+    sequence: Sequence, folder: Path | None = None, progress: Progress = silent
+) -> RefinedSequence:
+    """Refine the poses of a sequence, or find those that an earlier call wrote into the same folder
+    for the same data.
 
     Args:
         sequence: with poses whose errors are below ``PAIRED`` between neighbouring frames.
-        folder: where to write ``poses_refined.csv`` and ``poses_refined.toml``; None writes nothing.
+        folder: where to write ``poses_refined.csv`` and ``poses_refined.toml``; None writes
+            nothing.
         progress: called after each frame of each phase.
 
     Raises:
         MissingDependency: if open3d cannot be loaded.
         DataError: for data that cannot be read, or files that cannot be written.
     """
-    register, start = Registration(_edge(sequence)), time.process_time()
-    meter, digest = PoseNoiseMeter(len(sequence)), ScanDigest()
-    clouds, frames = list[F32](), list[Scan]()
+    register = Registration(_edge(sequence))
+    start = time.process_time()
+    meter = PoseNoiseMeter(len(sequence))
+    digest = ScanDigest()
+    clouds = list[F32]()
+    frames = list[Scan]()
     for position, scan in enumerate(stream(sequence)):
         digest.add(scan)
         meter.add(position, scan)
@@ -97,7 +111,9 @@ def refine(sequence: Sequence, folder: Path | None = None, progress: Progress = 
     if folder is not None:
         refined = _saved(folder, refined, origin_of(sequence), frames)
     after = pose_noise(ReposedSequence(sequence, refined))
-    moved = msgspec.structs.replace(moved, after=after, seconds=round(time.process_time() - start, 1))
+    moved = msgspec.structs.replace(
+        moved, after=after, seconds=round(time.process_time() - start, 1)
+    )
     if folder is not None:
         _save_note(folder, key, moved)
     return RefinedSequence(sequence, refined, moved)
@@ -114,7 +130,8 @@ class Registration:
     """
 
     def __init__(self, edge: float) -> None:
-        self._o3d, self._edge = open3d.load("--refine-poses"), edge
+        self._o3d = open3d.load("--refine-poses")
+        self._edge = edge
 
     @property
     def package(self) -> str:
@@ -139,15 +156,25 @@ class Registration:
             given: (frames, 4, 4) float64, metres.
             progress: called after each frame.
         """
-        poses, frames, done = given.copy(), range(len(clouds)), 0
+        poses = given.copy()
+        frames = range(len(clouds))
+        done = 0
         with self._one_thread():
             for order in (frames, reversed(frames)):
                 registered = 0
                 for k in order:
-                    around = [k + side * gap for gap in NEIGHBOURS for side in (-1, 1) if k + side * gap in frames]
-                    step = self._step(clouds, poses, k, around) if len(clouds[k]) >= FEWEST else None
+                    around = [
+                        k + side * gap
+                        for gap in NEIGHBOURS
+                        for side in (-1, 1)
+                        if k + side * gap in frames
+                    ]
+                    step = (
+                        self._step(clouds, poses, k, around) if len(clouds[k]) >= FEWEST else None
+                    )
                     if step is not None:
-                        poses[k], registered = geometry.compose(poses[k], step), registered + 1
+                        poses[k] = geometry.compose(poses[k], step)
+                        registered = registered + 1
                     done += 1
                     progress("refine poses", done, 2 * len(clouds))
         return poses, registered
@@ -155,7 +182,9 @@ class Registration:
     @contextmanager
     def _one_thread(self) -> Iterator[None]:
         utility = self._o3d.utility
-        if not hasattr(utility, "set_max_threads"):  # before open3d 0.20, which depends on a package with threadpoolctl
+        if not hasattr(
+            utility, "set_max_threads"
+        ):  # before open3d 0.20, which depends on a package with threadpoolctl
             from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
             with threadpool_limits(1, "openmp"):
@@ -170,12 +199,19 @@ class Registration:
 
     def _step(self, clouds: list[F32], poses: F64, k: int, around: list[int]) -> F64 | None:
         """The correction of a pose in the sensor frame; None if the registration fails."""
-        registration, to_sensor = self._o3d.pipelines.registration, geometry.inverse(poses[k])
-        near = [geometry.apply(geometry.compose(to_sensor, poses[j]), clouds[j]) for j in around if len(clouds[j])]
+        registration = self._o3d.pipelines.registration
+        to_sensor = geometry.inverse(poses[k])
+        near = [
+            geometry.apply(geometry.compose(to_sensor, poses[j]), clouds[j])
+            for j in around
+            if len(clouds[j])
+        ]
         if not near:
             return None
         target = self._cloud(np.concatenate(near)).voxel_down_sample(0.8 * self._edge)
-        target.estimate_normals(self._o3d.geometry.KDTreeSearchParamHybrid(radius=2.4 * self._edge, max_nn=12))
+        target.estimate_normals(
+            self._o3d.geometry.KDTreeSearchParamHybrid(radius=2.4 * self._edge, max_nn=12)
+        )
         found = registration.registration_icp(
             self._cloud(clouds[k]),
             target,
@@ -186,11 +222,17 @@ class Registration:
         )
         step: F64 = np.array(found.transformation)
         shift, turn = _size(step[None])
-        failed = len(found.correspondence_set) < FEWEST or shift[0] > LARGEST_STEP or turn[0] > LARGEST_TURN
+        failed = (
+            len(found.correspondence_set) < FEWEST
+            or shift[0] > LARGEST_STEP
+            or turn[0] > LARGEST_TURN
+        )
         return None if failed else step
 
     def _cloud(self, points: Any) -> Any:
-        return self._o3d.geometry.PointCloud(self._o3d.utility.Vector3dVector(points.astype(np.float64)))
+        return self._o3d.geometry.PointCloud(
+            self._o3d.utility.Vector3dVector(points.astype(np.float64))
+        )
 
 
 def _edge(sequence: Sequence) -> float:
@@ -203,7 +245,9 @@ def _size(T: F64) -> tuple[F64, F64]:
     """Lengths in metres and angles in degrees, (N,) each, of (N, 4, 4) transforms."""
     from scipy.spatial.transform import Rotation
 
-    return np.linalg.norm(T[:, :3, 3], axis=1), np.degrees(Rotation.from_matrix(T[:, :3, :3]).magnitude())
+    return np.linalg.norm(T[:, :3, 3], axis=1), np.degrees(
+        Rotation.from_matrix(T[:, :3, :3]).magnitude()
+    )
 
 
 def _moved(given: F64, refined: F64, registered: int, meter: PoseNoiseMeter) -> PoseRefinement:
@@ -232,7 +276,9 @@ def _read(folder: Path, origin: F64, frames: list[Scan]) -> F64:
     poses = found.poses.copy()
     poses[:, :3, 3] -= origin
     if found.stamps is not None:
-        poses = poses[np.searchsorted(found.stamps, np.array([frame.stamp_ns for frame in frames], np.int64))]
+        poses = poses[
+            np.searchsorted(found.stamps, np.array([frame.stamp_ns for frame in frames], np.int64))
+        ]
     return poses
 
 
@@ -244,13 +290,21 @@ def _save_note(folder: Path, key: str, moved: PoseRefinement) -> None:
 
 
 def refined_before(sequence: Sequence, folder: Path) -> RefinedSequence | None:
-    """The sequence with the refined poses of a run's folder, for this sequence; None if they are not there."""
+    """The sequence with the refined poses of a run's folder, for this sequence.
+
+    None if they are not there.
+    """
     frames = [without_points(scan) for scan in stream(sequence)]
     return _cached(folder, None, sequence, frames)
 
 
-def _cached(folder: Path, key: str | None, sequence: Sequence, frames: list[Scan]) -> RefinedSequence | None:
-    """The sequence with the poses of an earlier call with the same key, or any key; None if there are none."""
+def _cached(
+    folder: Path, key: str | None, sequence: Sequence, frames: list[Scan]
+) -> RefinedSequence | None:
+    """The sequence with the poses of an earlier call with the same key, or any key.
+
+    None if there are none.
+    """
     try:
         facts = tomllib.loads((folder / "poses_refined.toml").read_text(encoding="utf-8"))
         moved = msgspec.convert(facts, PoseRefinement)

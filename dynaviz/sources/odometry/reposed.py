@@ -19,7 +19,9 @@ from dynaviz.spatial import geometry
 
 @dataclass(frozen=True)
 class ReposedSequence(SequenceView):
-    """A sequence whose scans are moved from their own poses to others. Ground truth and attributes stay.
+    """A sequence whose scans are moved from their own poses to others.
+
+    Ground truth and attributes stay.
 
     Attributes:
         whole: the sequence.
@@ -44,7 +46,9 @@ class ReposedSequence(SequenceView):
             scan = sequence[position]
             T = poses.get(scan.index if found.numbers is not None else scan.stamp_ns)
             if T is None:
-                raise DataError(file, f"has no pose for frame {scan.index}", hint="Estimate the poses again")
+                raise DataError(
+                    file, f"has no pose for frame {scan.index}", hint="Estimate the poses again"
+                )
             chosen.append(T)
         return cls(sequence, np.array(chosen))
 

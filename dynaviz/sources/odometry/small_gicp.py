@@ -1,7 +1,10 @@
-"""VGICP (Koide et al., ICRA 2021) of the package ``small-gicp``: registers planes of a sweep to planes of a local map.
+"""VGICP (Koide et al., ICRA 2021) of the package ``small-gicp``.
 
-Sensors with few rows see the ground as rings that are metres apart. Registration of points to points moves the rings
-onto those of the sweeps before, and tilts the sensor; registration of planes does not.
+Registers planes of a sweep to planes of a local map.
+
+Sensors with few rows see the ground as rings that are metres apart. Registration of points to
+points moves the rings onto those of the sweeps before, and tilts the sensor; registration of planes
+does not.
 """
 
 from __future__ import annotations
@@ -15,11 +18,15 @@ from dynaviz.errors import MissingDependency
 from dynaviz.spatial import geometry
 from dynaviz.spatial.motion import deskewed_to_middle
 
-FINEST, COARSEST = 0.05, 0.1  # metres; edge of the voxels that thin out sweeps
+# metres; edge of the voxels that thin out sweeps
+FINEST = 0.05
+COARSEST = 0.1
 DENSE = 50_000  # points; sweeps with more are thinned out with edges twice as long
 MAP = 5  # edge of the voxels of the map, in edges of those that thin out sweeps
 NEIGHBOURS = 30  # points from which a plane is estimated: from two rows or more
-NEAREST, FARTHEST = (0.5, 2.0), 100.0  # metres; points of the vehicle move with the sensor
+# metres; points of the vehicle move with the sensor
+NEAREST = (0.5, 2.0)
+FARTHEST = 100.0
 LONGEST = 2.0  # metres from a point to the mean of its voxel in the map
 FEWEST = 100  # points of a sweep that is registered
 ITERATIONS = 30
@@ -39,7 +46,8 @@ class SmallGicp:
             import small_gicp
         except ModuleNotFoundError:
             raise MissingDependency(
-                "estimating poses needs small-gicp. Install it with: pip install small-gicp, or give poses "
+                "estimating poses needs small-gicp. Install it with: pip install small-gicp, or "
+                "give poses "
                 "with --poses FILE"
             ) from None
         self._gicp: Any = small_gicp
@@ -68,7 +76,10 @@ class SmallGicp:
         return pose.copy()
 
     def _registered(self, sweep: Any, predicted: F64) -> F64:
-        """The pose of a sweep. Its rotation is normalised: small errors would grow from sweep to sweep."""
+        """The pose of a sweep. Its rotation is normalised.
+
+        Small errors would grow from sweep to sweep.
+        """
         found = self._gicp.align(
             self._map,
             sweep,

@@ -52,10 +52,11 @@ class Target:
 def implant(scan: Scan, scene: ImplantScene, lidar: LidarModel, static: Bool | None = None) -> Scan:
     """Put the movers of a scene into a scan.
 
-    A ray that meets a mover before its own return gets the mover's return, with range noise, or loses its return: with
-    the drop-out rate, at a grazing angle, or outside the range limits of the lidar. Rays without a return that meet a
-    mover add points at the end. All other points keep their values and their order. If points have times, each ray
-    meets the movers where they are at that time.
+    A ray that meets a mover before its own return gets the mover's return, with range noise, or
+    loses its return: with the drop-out rate, at a grazing angle, or outside the range limits of the
+    lidar. Rays without a return that meet a mover add points at the end. All other points keep
+    their values and their order. If points have times, each ray meets the movers where they are at
+    that time.
 
     Args:
         scan: a scan, with or without ground truth.
@@ -64,7 +65,8 @@ def implant(scan: Scan, scene: ImplantScene, lidar: LidarModel, static: Bool | N
         static: (N,) bool: points that count as static if they have no label of their own.
 
     Returns:
-        The scan with labels; implanted points have the class numbers of ``CLASSES`` and the mover's instance.
+        The scan with labels; implanted points have the class numbers of ``CLASSES`` and the mover's
+        instance.
     """
     targets = _targets(scan, scene)
     rng = np.random.default_rng([scene.seed, 3, scan.index])
@@ -80,7 +82,9 @@ def implant(scan: Scan, scene: ImplantScene, lidar: LidarModel, static: Bool | N
     rows = np.flatnonzero(hits.mover >= 0)
     measured, returned = _measure(_rows(hits, rows), scene, lidar, rng)
     points = scan.points.copy()
-    points[rows] = (start[rows] + towards[rows] * measured[:, None] + scan.position).astype(np.float32)
+    points[rows] = (start[rows] + towards[rows] * measured[:, None] + scan.position).astype(
+        np.float32
+    )
     kept = np.ones(len(scan), np.bool_)
     kept[rows] = returned
 
@@ -90,10 +94,14 @@ def implant(scan: Scan, scene: ImplantScene, lidar: LidarModel, static: Bool | N
     distance, seen = _measure(_rows(sky, met), scene, lidar, rng)
     added = met[seen]
     source = before[added]
-    new = (start[source] + directions[added] * distance[seen, None] + scan.position).astype(np.float32)
+    new = (start[source] + directions[added] * distance[seen, None] + scan.position).astype(
+        np.float32
+    )
 
     labels, classes, instances = _truth(scan, static)
-    labels[rows], classes[rows], instances[rows] = Label.DYNAMIC, kind[hits.mover[rows]], instance[hits.mover[rows]]
+    labels[rows] = Label.DYNAMIC
+    classes[rows] = kind[hits.mover[rows]]
+    instances[rows] = instance[hits.mover[rows]]
     mover = sky.mover[added]
     return replace(
         scan,
@@ -101,16 +109,23 @@ def implant(scan: Scan, scene: ImplantScene, lidar: LidarModel, static: Bool | N
         labels=np.concatenate([labels[kept], np.full(len(new), Label.DYNAMIC, np.uint8)]),
         classes=np.concatenate([classes[kept], kind[mover]]),
         instances=np.concatenate([instances[kept], instance[mover]]),
-        origins=np.concatenate([scan.origins[kept], scan.origins[source]]) if len(scan.origins) > 1 else scan.origins,
-        times=None if scan.times is None else np.concatenate([scan.times[kept], scan.times[source]]),
+        origins=np.concatenate([scan.origins[kept], scan.origins[source]])
+        if len(scan.origins) > 1
+        else scan.origins,
+        times=None
+        if scan.times is None
+        else np.concatenate([scan.times[kept], scan.times[source]]),
         class_names={**scan.class_names, **CLASS_NAMES},
     )
 
 
 def _targets(scan: Scan, scene: ImplantScene) -> list[Target]:
     """The movers that are present at the time of a scan."""
-    time, found = scene.time(scan), []
-    during = (0.0, 0.0) if scan.times is None or not len(scan) else (scan.times.min(), scan.times.max())
+    time = scene.time(scan)
+    found = []
+    during = (
+        (0.0, 0.0) if scan.times is None or not len(scan) else (scan.times.min(), scan.times.max())
+    )
     ground = ScanGround.of(scan.points, scan.position)
     for mover in scene.movers:
         if (mesh := grounded(mover, time, ground, scan.position)) is not None:
@@ -121,10 +136,12 @@ def _targets(scan: Scan, scene: ImplantScene) -> list[Target]:
 
 
 def grounded(mover: Implant, time: float, ground: ScanGround, position: F64) -> Mesh | None:
-    """A mover at a time in seconds, world frame, raised or lowered to the ground that a scan shows; None if absent.
+    """A mover at a time in seconds, world frame, raised or lowered to the ground that a scan shows.
 
-    By the median height of its path above this ground, near the sensor, at ``position`` (3,), metres. So it stands on
-    the road of each scan, though poses drift in height.
+    None if absent.
+
+    By the median height of its path above this ground, near the sensor, at ``position`` (3,),
+    metres. So it stands on the road of each scan, though poses drift in height.
     """
     if (mesh := mover.mesh(time)) is None:
         return None
@@ -139,17 +156,22 @@ def grounded(mover: Implant, time: float, ground: ScanGround, position: F64) -> 
 
 
 def cast(targets: list[Target], origins: F64, directions: F64, limits: F64, times: F64) -> RayHits:
-    """Find the nearest mover along rays (N, 3), unit directions, closer than the limits (N,) in metres.
+    """Find the nearest mover along rays (N, 3), unit directions, closer than the limits (N,) in
+    metres.
 
-    A ray meets a mover in motion where a ray whose origin moves the opposite way meets it at rest. Origins and meshes
-    are near zero, so float32 is exact to less than a millimetre.
+    A ray meets a mover in motion where a ray whose origin moves the opposite way meets it at rest.
+    Origins and meshes are near zero, so float32 is exact to less than a millimetre.
     """
-    found = RayHits(np.full(len(origins), np.inf), np.full(len(origins), -1, np.int64), np.zeros(len(origins)))
+    found = RayHits(
+        np.full(len(origins), np.inf), np.full(len(origins), -1, np.int64), np.zeros(len(origins))
+    )
     if not targets or not len(origins):
         return found
     for number, target in enumerate(targets):
         start = origins - times[:, None] * target.velocity
-        rows = np.flatnonzero(_may_hit(target.mesh, start, directions, np.minimum(limits, found.range)))
+        rows = np.flatnonzero(
+            _may_hit(target.mesh, start, directions, np.minimum(limits, found.range))
+        )
         if not len(rows):
             continue
         rays: F32 = np.concatenate([start[rows], directions[rows]], axis=1).astype(np.float32)
@@ -166,7 +188,8 @@ def _may_hit(mesh: Mesh, origins: F64, directions: F64, limits: F64) -> Bool:
     """(N,) bool: rays that pass through the bounding sphere of a mesh within their limits."""
     low, high = mesh.bounds
     radius = float(np.sqrt(((high - low) ** 2).sum())) / 2 + 0.05
-    (cx, cy, cz), (dx, dy, dz) = ((low + high) / 2 - origins).T, directions.T
+    (cx, cy, cz) = ((low + high) / 2 - origins).T
+    (dx, dy, dz) = directions.T
     along = cx * dx + cy * dy + cz * dz
     aside = cx * cx + cy * cy + cz * cz - along * along
     may: Bool = (aside <= radius * radius) & (along > -radius) & (along - radius < limits)
@@ -177,7 +200,9 @@ def _rows(hits: RayHits, rows: Intp) -> RayHits:
     return RayHits(hits.range[rows], hits.mover[rows], hits.facing[rows])
 
 
-def _measure(hits: RayHits, scene: ImplantScene, lidar: LidarModel, rng: np.random.Generator) -> tuple[F64, Bool]:
+def _measure(
+    hits: RayHits, scene: ImplantScene, lidar: LidarModel, rng: np.random.Generator
+) -> tuple[F64, Bool]:
     """Range with noise, metres, and whether the ray returns."""
     distance = hits.range + rng.normal(0, scene.range_noise, len(hits.range))
     returned = (rng.random(len(hits.range)) >= scene.drop_out) & (hits.facing > GRAZING)
@@ -187,7 +212,11 @@ def _measure(hits: RayHits, scene: ImplantScene, lidar: LidarModel, rng: np.rand
 
 def _truth(scan: Scan, static: Bool | None) -> tuple[U8, U16, I32]:
     """Labels, classes and instances of the scan's own points, as writable copies."""
-    labels = np.full(len(scan), Label.UNLABELLED, np.uint8) if scan.labels is None else scan.labels.copy()
+    labels = (
+        np.full(len(scan), Label.UNLABELLED, np.uint8)
+        if scan.labels is None
+        else scan.labels.copy()
+    )
     if static is not None:
         labels[static & (labels == Label.UNLABELLED)] = Label.STATIC
     classes = np.zeros(len(scan), np.uint16) if scan.classes is None else scan.classes.copy()

@@ -1,4 +1,7 @@
-"""What to implant: numbers of movers, a seed, a scene file; as options or as the query of a path."""
+"""What to implant: numbers of movers, a seed, a scene file.
+
+As options or as the query of a path.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,8 @@ class ImplantOptions:
         seed: random seed of paths, shapes and noise.
         frames, stride: frames of the sequence to use, as in ``dynaviz.open``.
         scene: a scene file; it replaces the numbers of movers and the seed.
-        panel: methods that vote on which unlabelled points are static (``dynaviz.synthetic.implants.panel``).
+        panel: methods that vote on which unlabelled points are static
+            (``dynaviz.synthetic.implants.panel``).
     """
 
     cars: int = 4

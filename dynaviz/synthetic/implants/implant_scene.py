@@ -1,4 +1,7 @@
-"""The movers of a sequence: their kinds, paths and schedules, and the scene file that stores them."""
+"""The movers of a sequence.
+
+Their kinds, paths and schedules, and the scene file that stores them.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,8 @@ class Implant:
         instance: instance number.
         shape: seed of its model and size.
         path: (P, 3) float64, metres, world frame: its track on the ground.
-        schedule: (K, 2) float64: seconds, and metres along the path in the plane, both not decreasing.
+        schedule: (K, 2) float64: seconds, and metres along the path in the plane, both not
+            decreasing.
         note: what it does, for the reader.
     """
 
@@ -50,7 +54,10 @@ class Implant:
 
     def __post_init__(self) -> None:
         if self.path.shape[1:] != (3,) or len(self.path) < 2 or self.schedule.shape[1:] != (2,):
-            raise ValueError("path must be two places or more, (x, y, z), and schedule rows of seconds and metres")
+            raise ValueError(
+                "path must be two places or more, (x, y, z), and schedule rows of seconds and "
+                "metres"
+            )
         if not (np.isfinite(self.path).all() and np.isfinite(self.schedule).all()):
             raise ValueError("path and schedule must be finite")
         if not (np.diff(self.path[:, :2], axis=0) != 0).any(1).all():
@@ -68,15 +75,24 @@ class Implant:
         rng = np.random.default_rng(self.shape)
         if self.kind == "person":
             return float(rng.uniform(1.55, 1.9))
-        return {"car": objects.car, "truck": objects.truck}[self.kind](rng) if self.kind != "cyclist" else None
+        return (
+            {"car": objects.car, "truck": objects.truck}[self.kind](rng)
+            if self.kind != "cyclist"
+            else None
+        )
 
     def distance(self, time: float) -> float | None:
         """Metres along the path at a time in seconds; None before and after the schedule."""
         seconds, metres = self.schedule.T
-        return float(np.interp(time, seconds, metres)) if seconds[0] <= time <= seconds[-1] else None
+        return (
+            float(np.interp(time, seconds, metres)) if seconds[0] <= time <= seconds[-1] else None
+        )
 
     def pose(self, distance: float) -> F64:
-        """T_world_mover, (4, 4) float64, after a distance: on the path, pitched as the ground along it."""
+        """T_world_mover, (4, 4) float64, after a distance.
+
+        On the path, pitched as the ground along it.
+        """
         x, y, yaw = self.route.pose2d(distance)
         half = WHEELBASE[self.kind] / 2
         front, rear = (self._height(distance + shift) for shift in (half, -half))
@@ -84,14 +100,21 @@ class Implant:
         forward /= np.sqrt(np.sum(forward * forward))
         left = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
         T = np.eye(4)
-        T[:3, 0], T[:3, 1], T[:3, 2] = forward, left, np.cross(forward, left)
+        T[:3, 0] = forward
+        T[:3, 1] = left
+        T[:3, 2] = np.cross(forward, left)
         T[:3, 3] = x, y, (front + rear) / 2
         return T
 
     def velocity(self, start: float, end: float) -> F64:
-        """(3,) float64, m/s: mean velocity between two times in seconds while it is present; zero for equal times."""
-        start, end = max(start, float(self.schedule[0, 0])), min(end, float(self.schedule[-1, 0]))
-        a, b = self.distance(start), self.distance(end)
+        """(3,) float64, m/s: mean velocity between two times in seconds while it is present.
+
+        Zero for equal times.
+        """
+        start = max(start, float(self.schedule[0, 0]))
+        end = min(end, float(self.schedule[-1, 0]))
+        a = self.distance(start)
+        b = self.distance(end)
         if end <= start or a is None or b is None:
             return np.zeros(3)
         step: F64 = self.pose(b)[:3, 3] - self.pose(a)[:3, 3]
@@ -99,7 +122,8 @@ class Implant:
 
     def _height(self, distance: float) -> float:
         """Height of the path; beyond its ends it goes on at the same slope."""
-        at, z = self.route.distance, self.path[:, 2]
+        at = self.route.distance
+        z = self.path[:, 2]
         if distance < 0:
             return float(z[0] + distance * (z[1] - z[0]) / (at[1] - at[0]))
         if distance > at[-1]:
@@ -151,12 +175,23 @@ class ImplantScene:
         """The content of a scene file; equal scenes give equal bytes."""
         import tomli_w
 
-        head: dict[str, Any] = {"format": FORMAT, "sequence": self.sequence, "seed": self.seed, "rate": self.rate}
+        head: dict[str, Any] = {
+            "format": FORMAT,
+            "sequence": self.sequence,
+            "seed": self.seed,
+            "rate": self.rate,
+        }
         if self.start_ns is not None:
             head["start_ns"] = self.start_ns
-        head |= {"range_noise": self.range_noise, "drop_out": self.drop_out, "sky_rays": self.sky_rays}
+        head |= {
+            "range_noise": self.range_noise,
+            "drop_out": self.drop_out,
+            "sky_rays": self.sky_rays,
+        }
         text = tomli_w.dumps(head)
-        for mover in self.movers:  # one line per array: thousands of numbers, of which a reader wants the beginning
+        for mover in (
+            self.movers
+        ):  # one line per array: thousands of numbers, of which a reader wants the beginning
             lines = "".join(f"{key} = {_inline(getattr(mover, key))}\n" for key in _MOVER_KEYS)
             text += f"\n[[movers]]\n{lines}"
         return text.encode()
@@ -170,7 +205,9 @@ class ImplantScene:
         """
         table = read_toml(path, _HINT)
         if table.get("format") != FORMAT:
-            raise DataError(path, f"has format = {table.get('format')!r}, expected {FORMAT}", hint=_HINT)
+            raise DataError(
+                path, f"has format = {table.get('format')!r}, expected {FORMAT}", hint=_HINT
+            )
         try:
             return msgspec.convert(table, cls, dec_hook=_rows)
         except msgspec.ValidationError as error:

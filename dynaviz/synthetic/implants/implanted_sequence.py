@@ -29,9 +29,9 @@ from dynaviz.synthetic.implants.survey import Survey
 class ImplantedSequence:
     """A sequence whose scans show movers that were not there.
 
-    The static world, the noise, the poses and their errors stay those of the sequence. Scans are made when they are
-    read; reading a frame twice gives the same arrays. Points of the sequence keep their labels; points without a label
-    are unlabelled.
+    The static world, the noise, the poses and their errors stay those of the sequence. Scans are
+    made when they are read; reading a frame twice gives the same arrays. Points of the sequence
+    keep their labels; points without a label are unlabelled.
 
     Args:
         base: the sequence.
@@ -39,7 +39,8 @@ class ImplantedSequence:
         lidar: as measured on the sequence.
         name: name of the result.
         panel: names of the methods behind ``static``.
-        static: gives for a position the points that count as static if they have no label of their own.
+        static: gives for a position the points that count as static if they have no label of their
+            own.
     """
 
     layout: ClassVar[str] = "another sequence with implanted movers: implant:SEQUENCE?cars=6&seed=3"
@@ -54,7 +55,11 @@ class ImplantedSequence:
         panel: tuple[str, ...] = (),
         static: Callable[[int], Bool] | None = None,
     ) -> None:
-        self.base, self.scene, self.lidar, self.name, self.panel = base, scene, lidar, name, panel
+        self.base = base
+        self.scene = scene
+        self.lidar = lidar
+        self.name = name
+        self.panel = panel
         self._static = static
 
     @classmethod
@@ -64,7 +69,11 @@ class ImplantedSequence:
 
     @classmethod
     def open(
-        cls, path: Path, poses: str | None = None, points_in: str | None = None, deskew: bool | None = None
+        cls,
+        path: Path,
+        poses: str | None = None,
+        points_in: str | None = None,
+        deskew: bool | None = None,
     ) -> Self:
         """Open ``SEQUENCE?cars=6&seed=3``; the other arguments are passed on to the sequence.
 
@@ -94,7 +103,9 @@ class ImplantedSequence:
             name = f"{base.name}-{Path(options.scene).stem}"
         else:
             known = agreed.dynamic if agreed else None
-            survey = Survey.of(with_carrier(base), lambda done, total: progress("survey", done, total), known)
+            survey = Survey.of(
+                with_carrier(base), lambda done, total: progress("survey", done, total), known
+            )
             scene = planned(base.name, options, lidar, survey)
             name = f"{base.name}-implants" + (f"-seed{options.seed}" if options.seed else "")
         return cls(base, scene, lidar, name, options.panel, agreed.static if agreed else None)
@@ -128,7 +139,8 @@ class ImplantedSequence:
 
     @property
     def _sa(self) -> str:
-        own, agreed = "the points labelled static", f"the points that most of {', '.join(self.panel)} keep"
+        own = "the points labelled static"
+        agreed = f"the points that most of {', '.join(self.panel)} keep"
         if self.base.has_labels:
             return f"{own}, and {agreed} among those without a label" if self.panel else own
         return agreed if self.panel else "no points; give a panel of methods"
@@ -138,7 +150,11 @@ class ImplantedSequence:
         """Whether movers are seen in front of the sky, in one line."""
         if self.scene.sky_rays and self.lidar.sky_rays:
             return "known from the regular scan pattern, so movers in front of the sky are seen"
-        reason = "switched off in the scene file" if self.lidar.sky_rays else "unknown, the scan pattern is not regular"
+        reason = (
+            "switched off in the scene file"
+            if self.lidar.sky_rays
+            else "unknown, the scan pattern is not regular"
+        )
         return f"{reason}; movers return only rays that also returned without them"
 
     def __len__(self) -> int:
@@ -160,11 +176,14 @@ def planned(name: str, options: ImplantOptions, lidar: LidarModel, survey: Surve
     wanted = sum(getattr(options, name) for name in COUNTS)
     if not found.implants:
         raise UsageError(
-            f"{name}: no free path for any of {wanted} movers. Give smaller movers, another seed or more frames"
+            f"{name}: no free path for any of {wanted} movers. Give smaller movers, another seed "
+            "or more frames"
         )
     if found.missing:
         left = ", ".join(f"{name} ({count})" for name, count in found.missing.items())
-        warnings.warn(f"{name}: no free path for {left}; {len(found.implants)} movers placed", stacklevel=2)
+        warnings.warn(
+            f"{name}: no free path for {left}; {len(found.implants)} movers placed", stacklevel=2
+        )
     return ImplantScene(
         seed=options.seed,
         range_noise=lidar.range_noise,
@@ -185,7 +204,8 @@ def write(
     out: str | os.PathLike[str],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Conversion:
-    """Write ``out`` as ``dynaviz.sources.datasets.convert`` does, with the scene as ``out/implants.toml``.
+    """Write ``out`` as ``dynaviz.sources.datasets.convert`` does, with the scene as
+    ``out/implants.toml``.
 
     Raises:
         DataError: if ``out`` exists or cannot be written, or the sequence cannot be read.

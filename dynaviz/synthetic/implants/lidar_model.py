@@ -1,4 +1,7 @@
-"""The lidar as the scans show it: range noise, drop-outs, range limits, and the rays that have no return."""
+"""The lidar as the scans show it.
+
+Range noise, drop-outs, range limits, and the rays that have no return.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,10 @@ class LidarModel:
 
     @classmethod
     def measure(cls, sequence: Sequence) -> LidarModel:
-        """Measure the lidar on a few scans of a sequence. The numbers are rounded, so they repeat on every machine."""
+        """Measure the lidar on a few scans of a sequence.
+
+        The numbers are rounded, so they repeat on every machine.
+        """
         chosen = np.unique(np.linspace(0, len(sequence) - 1, SAMPLES).round().astype(int))
         scans = [sequence[int(position)] for position in chosen]
         mounts = _mounts(scans, sequence.sensor)
@@ -65,7 +71,11 @@ class LidarModel:
             if mount.pattern and (found := mount.pattern.rings(local))
         ]
         noise = np.concatenate([plane_noise(scan) for scan in scans])
-        median = float(np.median(noise)) if len(noise) >= 50 else sequence.sensor.range_noise or DEFAULT_NOISE
+        median = (
+            float(np.median(noise))
+            if len(noise) >= 50
+            else sequence.sensor.range_noise or DEFAULT_NOISE
+        )
         return cls(
             range_noise=round(median, 3),
             drop_out=round(drop_outs(rings), 3),
@@ -78,10 +88,12 @@ class LidarModel:
         """The rays of a scan without a return.
 
         Returns:
-            (K, 3) unit directions in the world frame; (K,) metres up to which each ray is free; (K,) row of the point
-            measured before each, with the same origin.
+            (K, 3) unit directions in the world frame; (K,) metres up to which each ray is free;
+            (K,) row of the point measured before each, with the same origin.
         """
-        directions, limits, rows_before = [np.empty((0, 3))], [np.empty(0)], [np.empty(0, np.intp)]
+        directions = [np.empty((0, 3))]
+        limits = [np.empty(0)]
+        rows_before = [np.empty(0, np.intp)]
         for mount, (rows, local) in zip(self.mounts, _by_mount(scan, self.mounts), strict=True):
             rings = mount.pattern.rings(local) if mount.pattern and self.sky_rays else None
             if mount.pattern is None or rings is None or not rings.regular:
@@ -104,8 +116,8 @@ def ranges_of(scan: Scan) -> F64:
 def plane_noise(scan: Scan) -> F64:
     """Range noise in metres on patches of a scan that are flat and not seen at a grazing angle.
 
-    A plane is fitted to the neighbours of random points. The deviation along the normal, divided by the cosine of the
-    angle of incidence, is the deviation along the ray.
+    A plane is fitted to the neighbours of random points. The deviation along the normal, divided by
+    the cosine of the angle of incidence, is the deviation along the ray.
     """
     from scipy.spatial import cKDTree
 
@@ -118,17 +130,24 @@ def plane_noise(scan: Scan) -> F64:
     _, near = cKDTree(points).query(points[chosen], NEIGHBOURS)
     patch = points[near] - points[near].mean(1, keepdims=True)
     values, vectors = np.linalg.eigh((patch[:, :, :, None] * patch[:, :, None, :]).mean(1))
-    rays = (scan.points[usable[chosen]] - np.broadcast_to(scan.origins, (len(scan), 3))[usable[chosen]]).T
+    rays = (
+        scan.points[usable[chosen]] - np.broadcast_to(scan.origins, (len(scan), 3))[usable[chosen]]
+    ).T
     normal = vectors[:, :, 0].T
     facing = np.abs((rays * normal).sum(0)) / distances[usable[chosen]]
-    flat = (values[:, 1] > 0.1 * values[:, 2]) & (values[:, 0] < 0.03 * values[:, 1]) & (facing > 0.3)
+    flat = (
+        (values[:, 1] > 0.1 * values[:, 2]) & (values[:, 0] < 0.03 * values[:, 1]) & (facing > 0.3)
+    )
     deviation = np.sqrt(np.maximum(values[:, 0], 0) * NEIGHBOURS / (NEIGHBOURS - 3))
     noise: F64 = (deviation / np.maximum(facing, 0.3))[flat]
     return noise
 
 
 def drop_outs(rings: list[Rings]) -> float:
-    """Share of missing returns on surfaces: gaps of one or two rays whose ends have the same range within 3 %."""
+    """Share of missing returns on surfaces.
+
+    Gaps of one or two rays whose ends have the same range within 3 %.
+    """
     lost = returned = 0
     for ring in rings:
         missing = np.rint(ring.gap / ring.step) - 1
@@ -139,13 +158,18 @@ def drop_outs(rings: list[Rings]) -> float:
 
 
 def _mounts(scans: list[Scan], sensor: Sensor) -> tuple[Mount, ...]:
-    """The lidars of a sequence: those of the sensor if it merges several, otherwise one per origin of rays."""
+    """The lidars of a sequence.
+
+    Those of the sensor if it merges several, otherwise one per origin of rays.
+    """
     from dynaviz.synthetic.simulate.lidar import mounts as known_mounts
 
     if sensor.mounts:
         poses = known_mounts(sensor)
     else:
-        origins = [geometry.apply(geometry.inverse(scan.T_world_sensor), scan.origins) for scan in scans]
+        origins = [
+            geometry.apply(geometry.inverse(scan.T_world_sensor), scan.origins) for scan in scans
+        ]
         places = np.unique(np.concatenate([np.unique(o.round(2), axis=0) for o in origins]), axis=0)
         if len(places) > LIDARS:  # the origins move during the sweep
             places = places.mean(0, keepdims=True)
@@ -161,7 +185,9 @@ def _mounts(scans: list[Scan], sensor: Sensor) -> tuple[Mount, ...]:
 
 
 def _by_mount(scan: Scan, mounts: Iterable[Mount]) -> list[tuple[Intp, F64]]:
-    """For each lidar the rows of its points, and their offsets from the origins of their rays in the lidar's frame."""
+    """For each lidar the rows of its points, and their offsets from the origins of their rays in
+    the lidar's frame.
+    """
     poses = [geometry.compose(scan.T_world_sensor, mount.T_sensor_lidar) for mount in mounts]
     distances = np.stack([np.abs(scan.origins - T[:3, 3]).max(1) for T in poses])
     nearest = np.broadcast_to(distances.argmin(0), len(scan))

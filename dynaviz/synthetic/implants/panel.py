@@ -1,7 +1,9 @@
-"""Labels by agreement: what most methods of a panel keep is static, and what all remove from the sequence is dynamic.
+"""Labels by agreement: what most methods of a panel keep is static, and what all remove from the
+sequence is dynamic.
 
-A point that a single method removes is most often that method's error. If such points did not count, the errors of the
-methods in the panel would not count either, and neither would points that are hard for every method.
+A point that a single method removes is most often that method's error. If such points did not
+count, the errors of the methods in the panel would not count either, and neither would points that
+are hard for every method.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ def default_panel(without: str = "") -> tuple[str, ...]:
     """
     import tomllib
 
-    names = tomllib.loads((resources.files(__package__) / "panel.toml").read_text(encoding="utf-8"))["methods"]
+    names = tomllib.loads(
+        (resources.files(__package__) / "panel.toml").read_text(encoding="utf-8")
+    )["methods"]
     installed = {handle.name for handle in registry.handles("methods")} - {without}
     return tuple(name for name in names if name in installed)[:3]
 
@@ -50,7 +54,9 @@ class Votes:
     removed: list[U8]
 
     def static(self, position: int) -> Bool:
-        """(N,) bool: points that most methods of the panel keep, and that are not next to a point that they remove."""
+        """(N,) bool: points that most methods of the panel keep, and that are not next to a point
+        that they remove.
+        """
         return self._unpacked(self.kept, position)
 
     def dynamic(self, position: int) -> Bool:
@@ -66,28 +72,40 @@ def votes(sequence: Sequence, panel: tuple[str, ...], progress: Progress = silen
     """Run the methods of a panel, with their default parameters, on a sequence.
 
     Raises:
-        UsageError: for an unknown method, or one that needs a fact of the sensor that cannot be estimated.
+        UsageError: for an unknown method, or one that needs a fact of the sensor that cannot be
+            estimated.
     """
     kinds = {name: registry.load("methods", name) for name in panel}  # before any of them runs
-    found, tally = Votes([], [], []), [np.empty(0, np.uint8)] * len(sequence)
+    found = Votes([], [], [])
+    tally = [np.empty(0, np.uint8)] * len(sequence)
     for left, (name, kind) in zip(reversed(range(len(kinds))), kinds.items(), strict=True):
         resolved = params.resolve(kind)
         known = suited(kind, resolved.params, sequence)
         spec = RunSpec(kind(resolved.params), known, resolved.params, online=bool(resolved.online))
         collect = _Collect(tally, len(kinds), None if left else found)
-        execute(spec, [collect], progress=lambda phase, *done, name=name: progress(f"{name}: {phase}", *done))
+        execute(
+            spec,
+            [collect],
+            progress=lambda phase, *done, name=name: progress(f"{name}: {phase}", *done),
+        )
     return found
 
 
 class _Collect(Listener):
-    """Adds the votes of a method to the tally; with the votes of the last method it fills in the result."""
+    """Adds the votes of a method to the tally.
+
+    With the votes of the last method it fills in the result.
+    """
 
     def __init__(self, tally: list[U8], methods: int, result: Votes | None) -> None:
-        self._tally, self._methods, self._result = tally, methods, result
+        self._tally = tally
+        self._methods = methods
+        self._result = result
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Add the labels of a frame."""
-        frame, own = labelled.frame, labelled.dynamic.astype(np.uint8)
+        frame = labelled.frame
+        own = labelled.dynamic.astype(np.uint8)
         self._tally[frame] = self._tally[frame] + own if len(self._tally[frame]) else own
         if self._result is None:
             return
@@ -98,7 +116,10 @@ class _Collect(Listener):
 
 
 def around(points: F32, chosen: Bool) -> Bool:
-    """(N,) bool: the chosen points, and those within ``HALO`` of one. Methods often miss a part of a mover."""
+    """(N,) bool: the chosen points, and those within ``HALO`` of one.
+
+    Methods often miss a part of a mover.
+    """
     from scipy.spatial import cKDTree
 
     near = chosen.copy()

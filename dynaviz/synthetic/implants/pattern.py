@@ -1,4 +1,7 @@
-"""Rays without a return: with regular rings and azimuths, their directions follow from the gaps between returns."""
+"""Rays without a return.
+
+With regular rings and azimuths, their directions follow from the gaps between returns.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,17 @@ import numpy as np
 from dynaviz.arrays import F64, I64, Bool, Intp
 
 BIN = 0.04  # degrees; width of an elevation bin when beams are searched
-FEWEST, MOST = 4, 160  # beams
+# beams
+FEWEST = 4
+MOST = 160
 RETURNS = 20  # a ring with fewer returns is not filled
 REGULAR = 0.7  # share of azimuth steps within a quarter of the median step
 BACK = 20.0  # degrees; where the azimuth falls back by more than this, another ring begins
 NARROW = 3  # rays; a gap up to this width is one of lost returns, not of sky
 LEVEL = -3.0  # degrees; beams below this are expected to return from the ground
-COVER_ELEVATION, COVER_AZIMUTH = 1.0, 2.0  # degrees; bins of the coverage
+# degrees; bins of the coverage
+COVER_ELEVATION = 1.0
+COVER_AZIMUTH = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +64,8 @@ class Pattern:
     """The regular pattern of a lidar.
 
     Attributes:
-        beams: (B,) float64, degrees: elevations of the beams; empty if points are stored ring by ring.
+        beams: (B,) float64, degrees: elevations of the beams; empty if points are stored ring by
+            ring.
         coverage: bool, by elevation and azimuth bin: whether the lidar ever returned a point there.
     """
 
@@ -66,7 +74,10 @@ class Pattern:
 
     @classmethod
     def infer(cls, scans: list[F64]) -> Pattern | None:
-        """Infer the pattern from some sweeps, each (N, 3) float64, metres, lidar frame; None if it is not regular."""
+        """Infer the pattern from some sweeps, each (N, 3) float64, metres, lidar frame.
+
+        None if it is not regular.
+        """
         angles = [spherical(points) for points in scans]
         beams = np.empty(0)
         if not all(_stored_ring_by_ring(azimuth) is not None for azimuth, _, _ in angles):
@@ -83,16 +94,24 @@ class Pattern:
         return pattern
 
     def rings(self, points: F64) -> Rings | None:
-        """Sort the points of a sweep, (N, 3) metres in the lidar frame, into rings; None if they do not fit."""
+        """Sort the points of a sweep, (N, 3) metres in the lidar frame, into rings.
+
+        None if they do not fit.
+        """
         azimuth, elevation, distance = spherical(points)
-        number = _nearest_beam(elevation, self.beams) if len(self.beams) else _stored_ring_by_ring(azimuth)
+        number = (
+            _nearest_beam(elevation, self.beams)
+            if len(self.beams)
+            else _stored_ring_by_ring(azimuth)
+        )
         if number is None or not len(points):
             return None
         rows = np.lexsort((azimuth, number))
         rows = rows[(number[rows] >= 0) & (distance[rows] > 0)]
         if not len(rows):
             return None
-        ring, azimuth = number[rows], azimuth[rows]
+        ring = number[rows]
+        azimuth = azimuth[rows]
         starts = np.flatnonzero(np.diff(ring, prepend=-1))
         counts = np.diff(starts, append=len(ring))
         following = np.arange(1, len(ring) + 1)
@@ -103,28 +122,34 @@ class Pattern:
     def missing(self, rings: Rings) -> tuple[F64, F64, Intp]:
         """The rays that have no return.
 
-        Gaps between two returns of a ring are filled at equal steps. Azimuths at which the lidar never returns a point
-        are left out: they are beyond its field of view. So are directions below the horizon that never return a point:
-        the vehicle itself hides them. A ray in a narrow gap or well below the horizon lost its return on a surface,
-        which hides what is behind it, so the ray is free up to the nearer end of the gap.
+        Gaps between two returns of a ring are filled at equal steps. Azimuths at which the lidar
+        never returns a point are left out: they are beyond its field of view. So are directions
+        below the horizon that never return a point: the vehicle itself hides them. A ray in a
+        narrow gap or well below the horizon lost its return on a surface, which hides what is
+        behind it, so the ray is free up to the nearer end of the gap.
 
         Returns:
-            (K, 3) unit directions in the lidar frame; (K,) metres up to which each is free, infinite before the sky;
-            (K,) row of the return before the gap.
+            (K, 3) unit directions in the lidar frame; (K,) metres up to which each is free,
+            infinite before the sky; (K,) row of the return before the gap.
         """
         per_ring = np.bincount(rings.ring)
         count = np.rint(rings.gap / rings.step).astype(np.int64) - 1
         count[per_ring[rings.ring] < RETURNS] = 0
         count = np.maximum(count, 0)
         first = np.repeat(np.arange(len(count)), count)
-        share = (np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count) + 1) / (count[first] + 1)
+        share = (np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count) + 1) / (
+            count[first] + 1
+        )
         azimuth = rings.azimuth[first] + share * rings.gap[first]
-        elevation = (1 - share) * rings.elevation[first] + share * rings.elevation[rings.next[first]]
+        elevation = (1 - share) * rings.elevation[first] + share * rings.elevation[
+            rings.next[first]
+        ]
         row, column = _bins(azimuth, elevation)
         own = self.coverage[row, column]
         anywhere: Bool = np.any(self.coverage, axis=0, keepdims=True)[0]
         kept = np.where(elevation < LEVEL, own, anywhere[column])
-        a, e = np.radians(azimuth[kept]), np.radians(elevation[kept])
+        a = np.radians(azimuth[kept])
+        e = np.radians(elevation[kept])
         nearer = np.minimum(rings.range, rings.range[rings.next])
         limit = np.where((count[first] <= NARROW) | (elevation < LEVEL), nearer[first], np.inf)
         directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
@@ -139,13 +164,20 @@ def spherical(points: F64) -> tuple[F64, F64, F64]:
 
 
 def find_beams(elevation: F64) -> F64 | None:
-    """The elevations, degrees, at which nearly all points lie; None if the points do not form beams."""
+    """The elevations, degrees, at which nearly all points lie.
+
+    None if the points do not form beams.
+    """
     if len(elevation) < 100:
         return None
     edges = np.arange(-90, 90 + BIN, BIN)
     counts, _ = np.histogram(elevation, edges)
     wide = np.convolve(counts, np.ones(3), "same")
-    peak = (counts >= np.roll(counts, 1)) & (counts > np.roll(counts, -1)) & (wide > 1e-3 * len(elevation))
+    peak = (
+        (counts >= np.roll(counts, 1))
+        & (counts > np.roll(counts, -1))
+        & (wide > 1e-3 * len(elevation))
+    )
     beams: F64 = (edges[:-1] + BIN / 2)[peak]
     if not FEWEST <= len(beams) <= MOST or np.diff(beams).min() < 4 * BIN:
         return None
@@ -155,12 +187,17 @@ def find_beams(elevation: F64) -> F64 | None:
 def _nearest_beam(elevation: F64, beams: F64) -> I64:
     """(N,) number of the beam of each point, -1 if none is within one and a half bins."""
     after = np.clip(np.searchsorted(beams, elevation), 1, len(beams) - 1)
-    near = np.where(np.abs(beams[after - 1] - elevation) < np.abs(beams[after] - elevation), after - 1, after)
+    near = np.where(
+        np.abs(beams[after - 1] - elevation) < np.abs(beams[after] - elevation), after - 1, after
+    )
     return np.where(np.abs(beams[near] - elevation) <= 1.5 * BIN, near, -1).astype(np.int64)
 
 
 def _stored_ring_by_ring(azimuth: F64) -> I64 | None:
-    """(N,) ring number if the points are stored ring after ring, each in one turn; None if they are not."""
+    """(N,) ring number if the points are stored ring after ring, each in one turn.
+
+    None if they are not.
+    """
     if len(azimuth) < 100:
         return None
     step = (np.diff(azimuth) + 180) % 360 - 180

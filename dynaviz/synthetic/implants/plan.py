@@ -31,21 +31,32 @@ from dynaviz.synthetic.simulate.movers import Route
 
 MARGIN = 0.1  # metres to obstacles, in addition to the rounding of the grid
 VISIBLE = 50.0  # metres from the sensor
-MOVED = 0.9  # metres that a mover moves, and at least its length: nothing shows that one moves that moves less
-SEEN = 0.5  # share of the frames near the sensor in which a mover is not hidden; 10 frames are enough
+# metres that a mover moves, and at least its length: nothing shows that one moves that moves less
+MOVED = 0.9
+SEEN = (
+    0.5  # share of the frames near the sensor in which a mover is not hidden; 10 frames are enough
+)
 GLANCES = 20  # frames in which that is checked
 LONG = 4.0  # seconds; in a shorter recording, a mover that waits would hardly move
 STEEPEST = 0.15  # metres per metre
-STANDING = 8.0  # metres from the sensor to vehicles that wait or park: nearer, one of them returns most points
-FADED = 50.0  # metres from the sensor; farther away, few rays hit a mover. Less if the ground is not visible as far
-IN_LANE = 0.8  # share of vehicles and cyclists that keep to a lane along the trajectory; the others cross
+# metres from the sensor to vehicles that wait or park: nearer, one of them returns most points
+STANDING = 8.0
+# metres from the sensor; farther away, few rays hit a mover. Less if the ground is not visible as
+# far
+FADED = 50.0
+IN_LANE = (
+    0.8  # share of vehicles and cyclists that keep to a lane along the trajectory; the others cross
+)
 APART = 0.4  # metres to dynamic points and other movers
 TRIPS = 3  # times and speeds to try
 TRIED = 60  # best paths for which a schedule is checked
 DRIVING = 3.0  # m/s; a faster sensor drives on a road
 ROADWAY = 3.0  # metres from the middle of the sensor's lane
-GOLDEN = 0.6180339887498949  # multiples of the golden ratio, without the whole part, are spread evenly
-SPARE = 0.2  # seconds for which a mover that keeps pace goes on before the first and after the last frame
+GOLDEN = (
+    0.6180339887498949  # multiples of the golden ratio, without the whole part, are spread evenly
+)
+# seconds for which a mover that keeps pace goes on before the first and after the last frame
+SPARE = 0.2
 TIGHT = 0.6  # metres; a path this close to obstacles brushes along them
 
 
@@ -60,7 +71,8 @@ class Kind:
         bend: standard deviation of the curvature, 1/m.
         lengths: shortest and longest path, metres.
         braking: m/s^2.
-        far: metres from the sensor; movers are spread evenly up to this range, or as far as the ground is visible.
+        far: metres from the sensor; movers are spread evenly up to this range, or as far as the
+            ground is visible.
         berth: metres to the sensor, in addition to the radius.
         tall: height class in ``FreeSpace.clearance``.
     """
@@ -77,8 +89,20 @@ class Kind:
 
 
 KINDS: dict[MoverKind, Kind] = {
-    "car": Kind((-1.9, -0.95, 0.0, 0.95, 1.9), 1.05, (4.0, 12.0), 0.006, (14.0, 120.0), 2.5, 45.0, 2.0),
-    "truck": Kind((-3.7, -2.2, -0.75, 0.75, 2.2, 3.7), 1.5, (4.0, 9.0), 0.004, (16.0, 120.0), 2.0, 45.0, 5.0, "high"),
+    "car": Kind(
+        (-1.9, -0.95, 0.0, 0.95, 1.9), 1.05, (4.0, 12.0), 0.006, (14.0, 120.0), 2.5, 45.0, 2.0
+    ),
+    "truck": Kind(
+        (-3.7, -2.2, -0.75, 0.75, 2.2, 3.7),
+        1.5,
+        (4.0, 9.0),
+        0.004,
+        (16.0, 120.0),
+        2.0,
+        45.0,
+        5.0,
+        "high",
+    ),
     "cyclist": Kind((-0.45, 0.0, 0.45), 0.5, (3.0, 5.5), 0.01, (10.0, 80.0), 1.5, 40.0, 1.6),
     "person": Kind((-0.2, 0.0, 0.2), 0.38, (0.9, 1.7), 0.04, (4.0, 30.0), 1.0, 35.0, 1.4),
 }
@@ -104,9 +128,9 @@ class Plan:
 def plan(options: ImplantOptions, survey: Survey, space: SpaceAboveGround) -> Plan:
     """Place movers one after another; the same options and scans give the same plan.
 
-    Each mover takes the best of some random paths: arcs through the free space near the sensor, and paths that follow
-    the trajectory at some offset. It keeps clear of every point that is not dynamic, of dynamic points and other movers
-    at the time, and of the sensor.
+    Each mover takes the best of some random paths: arcs through the free space near the sensor, and
+    paths that follow the trajectory at some offset. It keeps clear of every point that is not
+    dynamic, of dynamic points and other movers at the time, and of the sensor.
     """
     planner = _Planner(survey, space)
     placed: list[Implant] = []
@@ -146,7 +170,9 @@ class Trip:
     def schedule(self, path: Path, times: F64, braking: float, behaviour: str) -> F64:
         """(K, 2) seconds, and metres along the path."""
         along = Route(path.xy).distance
-        length, at, time = float(along[-1]), float(along[path.anchor]), float(times[self.frame])
+        length = float(along[-1])
+        at = float(along[path.anchor])
+        time = float(times[self.frame])
         if behaviour == "parks":
             return park(0.0, length, self.speed, self.stop, times[-1] + 1, braking)
         if behaviour == "waits":
@@ -158,7 +184,8 @@ class Trip:
 
     def paced(self, path: Path, times: F64) -> Path:
         """A path to and fro that lasts for the whole recording."""
-        before, after = times[self.frame] - times[0], times[-1] - times[self.frame]
+        before = times[self.frame] - times[0]
+        after = times[-1] - times[self.frame]
         return paced(path, self.speed * (before + 1), self.speed * (after + 1))
 
 
@@ -168,7 +195,8 @@ class _Planner:
     def __init__(self, survey: Survey, space: SpaceAboveGround) -> None:
         from scipy.spatial import cKDTree
 
-        self._survey, self._space = survey, space
+        self._survey = survey
+        self._space = space
         self._tracks: list[tuple[F64, float]] = []
         steps = np.hypot(*np.diff(survey.positions[:, :2], axis=0).T) / np.diff(survey.times)
         self._pace = float(np.median(steps)) if len(steps) else 0.0
@@ -189,7 +217,8 @@ class _Planner:
     def _place(
         self, name: MoverKind, parks: bool, number: int, instance: int, rng: np.random.Generator
     ) -> Implant | None:
-        kind, survey = KINDS[name], self._survey
+        kind = KINDS[name]
+        survey = self._survey
         brushes = name == "person" and number % 2 == 1
         trip = self._trip(kind, parks, number, rng)
         shape = int(rng.integers(2**31))
@@ -204,7 +233,9 @@ class _Planner:
                 return mover
         return None
 
-    def _ways(self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator) -> Iterator[tuple[Path, F64, str]]:
+    def _ways(
+        self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator
+    ) -> Iterator[tuple[Path, F64, str]]:
         """Paths with schedules, the best first, and what they are called."""
         notes = {"cruise": "brushes along obstacles" if brushes else "moves"}
         times = self._survey.times
@@ -213,22 +244,34 @@ class _Planner:
             paths = [trip.paced(path, times) for path in paths]
         for behaviour in (trip.behaviour, "stands"):
             for path in paths:
-                yield path, trip.schedule(path, times, kind.braking, behaviour), notes.get(behaviour, behaviour)
+                yield (
+                    path,
+                    trip.schedule(path, times, kind.braking, behaviour),
+                    notes.get(behaviour, behaviour),
+                )
 
     def _along(self, kind: Kind, rng: np.random.Generator) -> Iterator[tuple[Path, F64, str]]:
-        """Free paths with schedules of vehicles that keep pace with a sensor on a road, near it all the time."""
+        """Free paths with schedules of vehicles that keep pace with a sensor on a road, near it all
+        the time.
+        """
         if self._road is None or self._pace <= DRIVING:
             return
-        survey, spare = self._survey, self._pace * SPARE
+        survey = self._survey
+        spare = self._pace * SPARE
         reached = stations(self._road, survey.positions[:, :2])
-        times = np.concatenate([[survey.times[0] - SPARE], survey.times, [survey.times[-1] + SPARE]])
+        times = np.concatenate(
+            [[survey.times[0] - SPARE], survey.times, [survey.times[-1] + SPARE]]
+        )
         for path, metres in beside(self._road, reached, kind.discs[-1] + spare, rng):
             if self._open(path.xy, kind).all():
                 knots = np.concatenate([[metres[0] - spare], metres, [metres[-1] + spare]])
                 yield path, np.column_stack([times, knots]).round(3), "keeps pace"
 
     def _trip(self, kind: Kind, parks: bool, number: int, rng: np.random.Generator) -> Trip:
-        """What a mover does, when, where and how fast; vehicles keep pace with the sensor if that is fast."""
+        """What a mover does, when, where and how fast.
+
+        Vehicles keep pace with the sensor if that is fast.
+        """
         times = self._survey.times
         duration = times[-1] - times[0]
         waits = number % 3 == 2 and duration > LONG and not parks
@@ -238,13 +281,24 @@ class _Planner:
         frame = int(rng.integers(len(times)))
         wait = min(float(rng.uniform(0.15, 0.4)) * duration, 8.0)
         stop = times[0] + float(rng.uniform(0.3, 0.6)) * duration
-        away = NEAREST + (min(kind.far, self._faded) - NEAREST) * ((number + float(rng.random())) * GOLDEN % 1)
-        return Trip("parks" if parks else "waits" if waits else "cruise", frame, speed, wait, stop, away)
+        away = NEAREST + (min(kind.far, self._faded) - NEAREST) * (
+            (number + float(rng.random())) * GOLDEN % 1
+        )
+        return Trip(
+            "parks" if parks else "waits" if waits else "cruise", frame, speed, wait, stop, away
+        )
 
-    def _best_paths(self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator) -> Iterator[Path]:
-        """Free parts of random paths, the best first; for vehicles and cyclists, lanes first or crossings first."""
-        anchor, parks = self._survey.positions[trip.frame, :2], trip.behaviour == "parks"
-        walks, keeps_lane = kind.radius < 0.4, bool(rng.random() < IN_LANE)
+    def _best_paths(
+        self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Free parts of random paths, the best first.
+
+        For vehicles and cyclists, lanes first or crossings first.
+        """
+        anchor = self._survey.positions[trip.frame, :2]
+        parks = trip.behaviour == "parks"
+        walks = kind.radius < 0.4
+        keeps_lane = bool(rng.random() < IN_LANE)
         candidates = [*arcs(anchor, trip.away, kind.bend, kind.lengths[1], rng)]
         crossing = len(candidates)
         if self._road and not walks:
@@ -277,11 +331,13 @@ class _Planner:
         free = self._open(path.xy, kind)
         if not free[path.anchor]:
             return None
-        before, after = free[: path.anchor][::-1], free[path.anchor :]
+        before = free[: path.anchor][::-1]
+        after = free[path.anchor :]
         first = path.anchor - (int(before.argmin()) if not before.all() else len(before))
         last = path.anchor + (int(after.argmin()) if not after.all() else len(after)) - 1
         spare = int(np.ceil(kind.discs[-1] / SPACING))  # the body reaches beyond its centre
-        first, last = first + spare, last - spare
+        first = first + spare
+        last = last - spare
         if SPACING * (last - first) < kind.lengths[0] or not first <= path.anchor <= last:
             return None
         return Path(path.xy[first : last + 1], path.anchor - first)
@@ -289,7 +345,8 @@ class _Planner:
     def _open(self, xy: F64, kind: Kind) -> Bool:
         """(N,) bool: whether a disc fits at each of (N, 2) points, on ground that is not steep."""
         z = self._space.height(xy)
-        flat = np.abs(np.diff(z, append=z[-1])) <= STEEPEST * SPACING  # False where the ground is unknown
+        # False where the ground is unknown
+        flat = np.abs(np.diff(z, append=z[-1])) <= STEEPEST * SPACING
         return flat & (self._space.clear(xy, kind.tall) >= kind.radius + MARGIN)
 
     def _beside(self, path: Path, kind: Kind) -> Path:
@@ -308,7 +365,9 @@ class _Planner:
         return not (self._space.lowest[column[:, 0], column[:, 1]] < TALL["low"]).any()
 
     def _free(self, discs: F64, radius: float, berth: float) -> bool:
-        """Whether a mover is seen to move, and keeps clear of the sensor, of dynamic points and of other movers."""
+        """Whether a mover is seen to move, and keeps clear of the sensor, of dynamic points and of
+        other movers.
+        """
         survey = self._survey
         to_sensor = _distance(discs, survey.positions[:, None, :2])
         if (to_sensor < radius + berth).any():
@@ -318,7 +377,10 @@ class _Planner:
                 return False
         for frame in np.flatnonzero(np.isfinite(discs[:, 0, 0])):
             points = self._moving(int(frame))
-            if len(points) and _distance(discs[frame : frame + 1], points[None]).min() < radius + APART:
+            if (
+                len(points)
+                and _distance(discs[frame : frame + 1], points[None]).min() < radius + APART
+            ):
                 return False
         return self._shows(discs, to_sensor)
 
@@ -338,11 +400,14 @@ class _Planner:
             return False
         centre = discs[seen].mean(1)
         length = float(np.hypot(*(discs[seen[0], -1] - discs[seen[0], 0])))
-        duration = min(1.0, float(self._survey.times[-1] - self._survey.times[0]))  # a shorter recording asks for less
+        # a shorter recording asks for less
+        duration = min(1.0, float(self._survey.times[-1] - self._survey.times[0]))
         return float(np.hypot(*(centre - centre[0]).T).max()) >= max(MOVED, length) * duration
 
     def _hidden(self, frame: int, place: F64) -> bool:
-        """Whether an obstacle or an earlier mover lies between the sensor and a place, (2,) metres."""
+        """Whether an obstacle or an earlier mover lies between the sensor and a
+        place, (2,) metres.
+        """
         sensor = self._survey.positions[frame, :2]
         if not self._in_sight(sensor, place):
             return True
@@ -350,7 +415,8 @@ class _Planner:
         ahead = (place - sensor) / max(away, 1e-9)
         for other, radius in self._tracks:
             offset = other[frame] - sensor
-            along, aside = offset @ ahead, offset @ np.array([-ahead[1], ahead[0]])
+            along = offset @ ahead
+            aside = offset @ np.array([-ahead[1], ahead[0]])
             if ((np.abs(aside) < radius) & (along > 0) & (along < away)).any():
                 return True
         return False
@@ -366,17 +432,26 @@ class _Planner:
 
 
 def footprints(mover: Implant, times: F64) -> F64:
-    """(F, D, 2) metres: centres of the mover's discs in the plane at some times; NaN while it is absent."""
+    """(F, D, 2) metres: centres of the mover's discs in the plane at some times.
+
+    NaN while it is absent.
+    """
     seconds, metres = mover.schedule.T
     x, y, yaw = mover.route.at(np.interp(times, seconds, metres))
     along = np.array(KINDS[mover.kind].discs)
-    centres = np.stack([x[:, None] + along * np.cos(yaw)[:, None], y[:, None] + along * np.sin(yaw)[:, None]], axis=-1)
+    centres = np.stack(
+        [x[:, None] + along * np.cos(yaw)[:, None], y[:, None] + along * np.sin(yaw)[:, None]],
+        axis=-1,
+    )
     centres[(times < seconds[0]) | (times > seconds[-1])] = np.nan
     return centres
 
 
 def _distance(a: F64, b: F64) -> F64:
-    """(F,) smallest distance between (F, A, 2) and (F, B, 2) in each frame; infinite where one is absent."""
+    """(F,) smallest distance between (F, A, 2) and (F, B, 2) in each frame.
+
+    Infinite where one is absent.
+    """
     offset = a[:, :, None] - b[:, None]
     apart = np.hypot(offset[..., 0], offset[..., 1])
     nearest: F64 = np.where(np.isnan(apart), np.inf, apart).min((1, 2))

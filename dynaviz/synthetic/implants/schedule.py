@@ -10,15 +10,22 @@ STEP = 0.1  # seconds between knots while the speed changes
 
 
 def cruise(start: float, end: float, speed: float, at: float, time: float) -> F64:
-    """(2, 2) knots of a constant speed from start to end, that passes ``at`` metres at a time in seconds."""
+    """(2, 2) knots of a constant speed from start to end, that passes ``at`` metres at a time in
+    seconds.
+    """
     return np.array([[time - (at - start) / speed, start], [time + (end - at) / speed, end]])
 
 
-def pause(start: float, end: float, speed: float, at: float, time: float, wait: float, braking: float) -> F64:
-    """Knots of a way with a stop ``at`` metres, from about a time in seconds on, for ``wait`` seconds."""
+def pause(
+    start: float, end: float, speed: float, at: float, time: float, wait: float, braking: float
+) -> F64:
+    """Knots of a way with a stop ``at`` metres, from about a time in seconds on, for ``wait``
+    seconds.
+    """
     ramp = _ramp(speed, braking)
     length = float(ramp[-1, 1])
-    arrive, leave = max(start, at - length), min(end, at + length)
+    arrive = max(start, at - length)
+    leave = min(end, at + length)
     down = np.stack([-ramp[::-1, 0], -ramp[::-1, 1]], axis=1)  # the same ramp, backwards in time
     down = down[down[:, 1] >= arrive - at] + (time, at)
     up = ramp[ramp[:, 1] <= leave - at] + (time + wait, at)
@@ -28,15 +35,21 @@ def pause(start: float, end: float, speed: float, at: float, time: float, wait: 
 
 
 def park(start: float, end: float, speed: float, time: float, until: float, braking: float) -> F64:
-    """Knots of a way that ends with a stop at a time in seconds; the mover stays there until another time."""
+    """Knots of a way that ends with a stop at a time in seconds.
+
+    The mover stays there until another time.
+    """
     knots = pause(start, end, speed, end, time, max(until - time, 0.0), braking)
     return _distinct(knots[knots[:, 0] <= max(until, time)])
 
 
-def stand(end: float, speed: float, at: float, time: float, span: tuple[float, float], braking: float) -> F64:
+def stand(
+    end: float, speed: float, at: float, time: float, span: tuple[float, float], braking: float
+) -> F64:
     """Knots of a way from 0 to ``end`` metres that passes ``at`` metres at about a time.
 
-    The mover stands at the beginning and at the end, from the first to the last time of the span in seconds.
+    The mover stands at the beginning and at the end, from the first to the last time of the span in
+    seconds.
     """
     ramp = _ramp(min(speed, float(np.sqrt(braking * end))), braking)
     seconds, metres = ramp[-1]
@@ -44,7 +57,8 @@ def stand(end: float, speed: float, at: float, time: float, span: tuple[float, f
     down = np.stack([2 * seconds + cruising - ramp[::-1, 0], end - ramp[::-1, 1]], axis=1)
     way = np.concatenate([ramp, down])
     way[:, 0] += time - np.interp(at, way[:, 1], way[:, 0])
-    first, last = min(span[0], way[0, 0]), max(span[1], way[-1, 0])
+    first = min(span[0], way[0, 0])
+    last = max(span[1], way[-1, 0])
     return _distinct(np.concatenate([[[first, 0.0]], way, [[last, end]]]))
 
 

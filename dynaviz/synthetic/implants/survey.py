@@ -19,7 +19,9 @@ CELL = 0.2  # metres; edge of a column
 LAYER = 0.1  # metres; height of a voxel
 REACH = 60.0  # metres from the sensor; points beyond are not used
 PENDING = 4_000_000  # voxels collected before they are merged
-PARTS = 64  # parts of a recording, or its frames if they are fewer: in each, a voxel is occupied or not
+PARTS = (
+    64  # parts of a recording, or its frames if they are fewer: in each, a voxel is occupied or not
+)
 ALWAYS = np.uint64(2**64 - 1)
 TILT = 20.0  # degrees between the sensor's mean z axis and the world's
 
@@ -33,15 +35,19 @@ class Survey:
         times: (F,) float64, seconds.
         start_ns: stamp at time 0, or None if the times come from the rate.
         rate: sweeps per second.
-        columns: (V, 2) int64: x and y index of each occupied voxel, in cells of ``CELL``, without dynamic points.
-        height: (V,) float64, metres: mean height of its points above the ground of their scans, whatever their poses.
+        columns: (V, 2) int64: x and y index of each occupied voxel, in cells of ``CELL``, without
+            dynamic points.
+        height: (V,) float64, metres: mean height of its points above the ground of their scans,
+            whatever their poses.
         count: (V,) int64, its points.
-        parts: (V,) uint64, a bit for each part of the recording in which it has points; all if one has a label.
-        cells: (G, 2) int64: x and y index of each cell of ``scan_ground.EDGE`` in which a scan shows the ground.
+        parts: (V,) uint64, a bit for each part of the recording in which it has points; all if one
+            has a label.
+        cells: (G, 2) int64: x and y index of each cell of ``scan_ground.EDGE`` in which a scan
+            shows the ground.
         ground: (G,) float64, metres, world frame: its mean height there.
         dynamic: for each frame (D, 3) float32, metres: points known to be dynamic, one per cell.
-        farthest: (F, 360) float32, metres in the plane: the farthest return in each degree of azimuth from -180, world
-            frame; 0 without a return.
+        farthest: (F, 360) float32, metres in the plane: the farthest return in each degree of
+            azimuth from -180, world frame; 0 without a return.
         instances: the highest instance number.
     """
 
@@ -71,27 +77,52 @@ class Survey:
         Args:
             sequence: any sequence.
             progress: called with the number of frames read and their total.
-            moving: gives for a position (N,) bool: points known to be dynamic, in addition to those labelled so.
+            moving: gives for a position (N,) bool: points known to be dynamic, in addition to those
+                labelled so.
 
         Raises:
             UsageError: if the world's z axis does not point up.
         """
-        voxels, ground, dynamic, farthest = _Means(), _Means(), [], []
-        positions, up, indices, stamps = [], [], [], []
-        instances, near = 0, AtSensor(sequence.sensor)
+        voxels = _Means()
+        ground = _Means()
+        dynamic = []
+        farthest = []
+        positions = []
+        up = []
+        indices = []
+        stamps = []
+        instances = 0
+        near = AtSensor(sequence.sensor)
         for position in range(len(sequence)):
             scan = sequence[position]
-            still, moves = _split(scan, near.found(scan), None if moving is None else moving(position))
-            surface, when = ScanGround.of(scan.points[still], scan.position), part(position, len(sequence))
+            still, moves = _split(
+                scan, near.found(scan), None if moving is None else moving(position)
+            )
+            surface = ScanGround.of(scan.points[still], scan.position)
+            when = part(position, len(sequence))
             heights = surface.heights(scan.points)
-            labelled = np.zeros(len(scan), np.bool_) if scan.labels is None else scan.labels != Label.UNLABELLED
+            labelled = (
+                np.zeros(len(scan), np.bool_)
+                if scan.labels is None
+                else scan.labels != Label.UNLABELLED
+            )
             still &= np.isfinite(heights)
             for rows, present in ((still & labelled, ALWAYS), (still & ~labelled, when)):
                 above = heights[rows]
-                voxels.add(pack(np.column_stack([scan.points[rows, :2], above * (CELL / LAYER)]), CELL), above, present)
+                voxels.add(
+                    pack(np.column_stack([scan.points[rows, :2], above * (CELL / LAYER)]), CELL),
+                    above,
+                    present,
+                )
             cells = np.argwhere(surface.number)
             z = surface.z + surface.height[tuple(cells.T)] / 1000
-            ground.add(pack_indices(np.column_stack([cells + surface.first, np.zeros(len(cells), np.int64)])), z, when)
+            ground.add(
+                pack_indices(
+                    np.column_stack([cells + surface.first, np.zeros(len(cells), np.int64)])
+                ),
+                z,
+                when,
+            )
             others = scan.points[moves]
             _, first = np.unique(pack(others, CELL), return_index=True)
             dynamic.append(others[first])
@@ -109,7 +140,8 @@ class Survey:
                 "Give poses in a world frame with z up, and the sensor's x axis forward"
             )
         rate = sequence.sensor.rate or 10.0
-        start, times = None, np.array(indices, np.float64) / rate
+        start = None
+        times = np.array(indices, np.float64) / rate
         known = [stamp for stamp in stamps if stamp is not None]
         if len(known) == len(stamps) and all(a < b for a, b in pairwise(known)):
             start = known[0]
@@ -134,7 +166,8 @@ class Survey:
         )
 
     def in_sight(self, frame: int, xy: F64, radius: float) -> Bool:
-        """(N,) bool: whether the sensor sees as far as (N, 2) places, metres, or would if they did not hide the rest.
+        """(N,) bool: whether the sensor sees as far as (N, 2) places, metres, or would if they did
+        not hide the rest.
 
         A place beyond the farthest return of its direction, within a few degrees, is hidden.
         """
@@ -176,7 +209,9 @@ class _Means:
         """Keys, sorted; counts; sums of heights; parts of the recording."""
         if not self._chunks:
             return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint64)
-        every, counts, totals, parts = (np.concatenate(column) for column in zip(*self._chunks, strict=True))
+        every, counts, totals, parts = (
+            np.concatenate(column) for column in zip(*self._chunks, strict=True)
+        )
         keys, inverse = np.unique(every, return_inverse=True)
         count = np.bincount(inverse, counts, len(keys))
         total = np.bincount(inverse, totals, len(keys))
@@ -188,7 +223,8 @@ class _Means:
 def _farthest(scan: Scan) -> F32:
     """(360,) float32: see ``Survey.farthest``."""
     x, y = (scan.points[:, :2] - scan.position[:2].astype(np.float32)).T
-    away, reach = np.hypot(x, y), np.zeros(360, np.float32)
+    away = np.hypot(x, y)
+    reach = np.zeros(360, np.float32)
     finite = np.isfinite(away)
     degree = (np.degrees(np.arctan2(y[finite], x[finite])) + 180).astype(np.int64) % 360
     np.maximum.at(reach, degree, away[finite])
@@ -196,7 +232,10 @@ def _farthest(scan: Scan) -> F32:
 
 
 def _split(scan: Scan, carrier: Bool, agreed: Bool | None) -> tuple[Bool, Bool]:
-    """(N,) bool: points within ``REACH`` that are no part of the carrier: those that stay, and dynamic ones."""
+    """(N,) bool: points within ``REACH`` that are no part of the carrier.
+
+    Those that stay, and dynamic ones.
+    """
     offset = scan.points - scan.position.astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
         near = ((offset * offset).sum(1) < REACH**2) & ~carrier

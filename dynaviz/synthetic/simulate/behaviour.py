@@ -1,4 +1,7 @@
-"""Movers that touch, brush and stop: the behaviour at which methods fail. Each acts near the sensor at some time."""
+"""Movers that touch, brush and stop: the behaviour at which methods fail.
+
+Each acts near the sensor at some time.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,31 @@ from dynaviz.synthetic.simulate import objects
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.effects import Effects
 from dynaviz.synthetic.simulate.lidar import REFLECTING
-from dynaviz.synthetic.simulate.movers import Height, Movement, Mover, Route, Schedule, arrive, cruise, depart
+from dynaviz.synthetic.simulate.movers import (
+    Height,
+    Movement,
+    Mover,
+    Route,
+    Schedule,
+    arrive,
+    cruise,
+    depart,
+)
 from dynaviz.synthetic.simulate.scene import SimulatedScene
 from dynaviz.synthetic.simulate.shapes import Mesh
 
-BRUSH, PASS = 0.2, 0.5  # metres between a walker and a wall, and between a car and a parked car
-SHOULDER, CAR_SIDE = 0.31, 0.88  # half widths of a person with arms and of a car, metres
-WALKING, DRIVING = 0.25, 0.85  # metres that the middle of a walker and of a car keep from anything static
-NEAREST, FARTHEST = 3.0, 14.0  # metres from the sensor at the time of the event
+# metres between a walker and a wall, and between a car and a parked car
+BRUSH = 0.2
+PASS = 0.5
+# half widths of a person with arms and of a car, metres
+SHOULDER = 0.31
+CAR_SIDE = 0.88
+# metres that the middle of a walker and of a car keep from anything static
+WALKING = 0.25
+DRIVING = 0.85
+# metres from the sensor at the time of the event
+NEAREST = 3.0
+FARTHEST = 14.0
 GROUP = ((0.0, 0.0), (0.0, 0.55), (-0.42, 0.27), (-0.42, -0.28), (-0.84, 0.0), (-0.84, 0.55))
 """Places in a crowd, metres ahead and to the left; the arms of neighbours touch."""
 TRIES = 40  # candidates for the place of an event
@@ -29,7 +49,9 @@ TRIES = 40  # candidates for the place of an event
 
 @dataclass(frozen=True, eq=False)
 class Anchored(Movement):
-    """A motion on the spot: the body changes with the schedule, the pose stays that of the start of the path."""
+    """A motion on the spot: the body changes with the schedule, the pose stays that of the start of
+    the path.
+    """
 
     def poses(self, times: Sequence[float], height: Height) -> list[F64 | None]:
         """(4, 4) float64 pose on the ground in the scene frame, for each time."""
@@ -67,7 +89,9 @@ class Stage:
     """
 
     def __init__(self, scene: SimulatedScene, rng: np.random.Generator):
-        self.scene, self.rng, self.turn = scene, rng, 0
+        self.scene = scene
+        self.rng = rng
+        self.turn = 0
         self.taken: list[F64] = []
         self._static = RayCaster(part.mesh for part in scene.parts if part.kind not in REFLECTING)
         self._times = np.arange(0, scene.duration + 0.1, 0.1)
@@ -82,12 +106,17 @@ class Stage:
         """(N,) metres from anything static to the axis of a body at (N, 2) places."""
         ground = self.scene.height(xy[:, 0], xy[:, 1])
         levels = [np.column_stack([xy, ground + z]).astype(np.float32) for z in (0.3, 0.8, 1.4)]
-        lowest: F64 = np.min([self._static.clearance(level) for level in levels], axis=0).astype(np.float64)
+        lowest: F64 = np.min([self._static.clearance(level) for level in levels], axis=0).astype(
+            np.float64
+        )
         return lowest
 
     def near(self, routes: Iterable[Route], time: float) -> Iterator[tuple[Route, float]]:
-        """Routes with their point near the sensor at a time (distance along the route, metres), in random order."""
-        here, found = self.sensor(time), []
+        """Routes with their point near the sensor at a time (distance along the route, metres), in
+        random order.
+        """
+        here = self.sensor(time)
+        found = []
         for route in routes:
             away = np.hypot(*(route.xy - here).T)
             for at in np.flatnonzero((away > NEAREST) & (away < FARTHEST))[::4]:
@@ -98,9 +127,13 @@ class Stage:
             yield found[int(k)]
 
     def free(self, route: Route, start: float, end: float, room: float) -> bool:
-        """Whether a body of this half width, metres, has room between two distances along a route."""
+        """Whether a body of this half width, metres, has room between two distances
+        along a route.
+        """
         steps = np.arange(max(start, 0.0), min(end, route.length), 0.3)
-        return len(steps) > 1 and bool(self.clearance(np.column_stack(route.at(steps)[:2])).min() > room)
+        return len(steps) > 1 and bool(
+            self.clearance(np.column_stack(route.at(steps)[:2])).min() > room
+        )
 
     def apart(self, route: Route, schedule: Schedule, least: float = 1.6) -> bool:
         """Whether a mover keeps this distance from the sensor, metres."""
@@ -110,9 +143,15 @@ class Stage:
     def person(self, route: Route, schedule: Schedule) -> None:
         """Add a person."""
         height = self.rng.uniform(1.55, 1.9)
-        self.add(ObjectClass.MOVING_PERSON, Movement(route, schedule, True), lambda d: objects.person(d, height))
+        self.add(
+            ObjectClass.MOVING_PERSON,
+            Movement(route, schedule, True),
+            lambda d: objects.person(d, height),
+        )
 
-    def add(self, kind: ObjectClass, motion: Movement, body: Mesh | Callable[[float], Mesh]) -> None:
+    def add(
+        self, kind: ObjectClass, motion: Movement, body: Mesh | Callable[[float], Mesh]
+    ) -> None:
         """Add a mover."""
         shape = body if callable(body) else lambda _: body
         number = len(self.scene.movers) + 1
@@ -127,13 +166,18 @@ def through(route: Route, at: float, time: float, pace: float) -> Schedule:
 def halting(route: Route, at: float, time: float, pace: float, wait: float) -> Schedule:
     """As ``through``, but stand at the point for ``wait`` seconds, half of them before the time."""
     return lambda now: float(
-        np.clip(at + pace * (min(now - time + wait / 2, 0.0) + max(now - time - wait / 2, 0.0)), 0.0, route.length)
+        np.clip(
+            at + pace * (min(now - time + wait / 2, 0.0) + max(now - time - wait / 2, 0.0)),
+            0.0,
+            route.length,
+        )
     )
 
 
 def _brush(stage: Stage, time: float) -> None:
     """A walker along a wall, or around a parked car or a pillar (every second one)."""
-    places, pace = stage.scene.places, stage.rng.uniform(0.9, 1.4)
+    places = stage.scene.places
+    pace = stage.rng.uniform(0.9, 1.4)
     walls = [wall.shifted(BRUSH + SHOULDER) for wall in places.walls]
     rounds = [_around(*obstacle) for obstacle in places.obstacles]
     routes = rounds if stage.turn % 2 and rounds else walls
@@ -148,7 +192,10 @@ def _brush(stage: Stage, time: float) -> None:
 
 
 def _free_part(stage: Stage, route: Route, at: float) -> tuple[Route | None, float]:
-    """The part of a route around a point on which a walker has room, at least 4 m long; and the point on it."""
+    """The part of a route around a point on which a walker has room, at least 4 m long.
+
+    And the point on it.
+    """
     steps = np.arange(0, route.length, 0.2)
     places = np.column_stack(route.at(steps)[:2])
     blocked = np.flatnonzero(stage.clearance(places) < WALKING)
@@ -162,7 +209,8 @@ def _free_part(stage: Stage, route: Route, at: float) -> tuple[Route | None, flo
 def _around(x: float, y: float, yaw: float, long: float, wide: float) -> Route:
     """One and a half rounds about an obstacle, at the distance of a walker who brushes along it."""
     gap = BRUSH + SHOULDER
-    corners, turn = [], np.linspace(0, np.pi / 2, 6)
+    corners = []
+    turn = np.linspace(0, np.pi / 2, 6)
     for quarter, (a, b) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1), (1, 1), (-1, 1))):
         angle = turn + quarter * np.pi / 2
         corners += [(a * long + gap * np.cos(t), b * wide + gap * np.sin(t)) for t in angle]
@@ -170,12 +218,16 @@ def _around(x: float, y: float, yaw: float, long: float, wide: float) -> Route:
     steps = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(corner, axis=0).T))])
     dense = np.arange(0, steps[-1], 0.15)
     local = np.column_stack([np.interp(dense, steps, column) for column in corner.T])
-    c, s = np.cos(yaw), np.sin(yaw)
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     return Route(local @ np.array([[c, s], [-s, c]]) + (x, y))
 
 
 def _pass(stage: Stage, time: float) -> None:
-    """A car that passes parked cars: its lane is shifted until it drives past the nearest one at 0.5 m."""
+    """A car that passes parked cars.
+
+    Its lane is shifted until it drives past the nearest one at 0.5 m.
+    """
     indoors = not any(part.kind == ObjectClass.ROAD for part in stage.scene.parts)
     lanes = stage.scene.places.lanes
     lane = lanes[stage.turn % len(lanes)]
@@ -193,8 +245,12 @@ def _pass(stage: Stage, time: float) -> None:
     return None
 
 
-def _beside(lane: Route, obstacles: list[tuple[float, float, float, float, float]], gap: float) -> Route:
-    """The lane shifted towards the obstacles at its side, so that ``gap`` metres remain to the nearest."""
+def _beside(
+    lane: Route, obstacles: list[tuple[float, float, float, float, float]], gap: float
+) -> Route:
+    """The lane shifted towards the obstacles at its side, so that ``gap`` metres remain to the
+    nearest.
+    """
     offsets = []
     for x, y, _, _, wide in obstacles:
         k = int(np.argmin(np.hypot(*(lane.xy - (x, y)).T)))
@@ -209,7 +265,10 @@ def _beside(lane: Route, obstacles: list[tuple[float, float, float, float, float
 
 
 def _crowd(stage: Stage, time: float) -> None:
-    """Six people who walk closely together, stop, and go on; one who comes towards them squeezes past."""
+    """Six people who walk closely together, stop, and go on.
+
+    One who comes towards them squeezes past.
+    """
     for way, at in stage.near(stage.scene.places.walkways, time):
         schedule = halting(way, at, time, 1.1, 0.2 * stage.scene.duration)
         if not (stage.free(way, at - 3, at + 3, 0.7) and stage.apart(way, schedule, 2.4)):
@@ -230,7 +289,9 @@ def _door(stage: Stage, time: float) -> None:
     stays = 0.2 * stage.scene.duration
 
     def share(now: float) -> float:
-        return float(np.clip(min(now - time + stays / 2, time + stays / 2 - now) / 1.5 + 1.0, 0.0, 1.0))
+        return float(
+            np.clip(min(now - time + stays / 2, time + stays / 2 - now) / 1.5 + 1.0, 0.0, 1.0)
+        )
 
     for wall, at in stage.near(stage.scene.places.walls, time):
         hinge = wall.pose2d(at, 0.02)
@@ -261,7 +322,12 @@ def _sit(stage: Stage, time: float) -> None:
         if not 4.5 < at < wall.length - 1.0 or stage.clearance(np.array([(x, y)]))[0] < 0.35:
             continue
         path = Route(
-            [wall.pose2d(at - 4.0, 1.6)[:2], wall.pose2d(at - 2.0, 1.3)[:2], wall.pose2d(at, 0.95)[:2]], rounds=3
+            [
+                wall.pose2d(at - 4.0, 1.6)[:2],
+                wall.pose2d(at - 2.0, 1.3)[:2],
+                wall.pose2d(at, 0.95)[:2],
+            ],
+            rounds=3,
         )
         schedule = _clipped(arrive(path.length, 1.1, time))
         if not stage.apart(path, schedule):
@@ -289,10 +355,14 @@ def _animal(stage: Stage, time: float) -> None:
 
 def _park(stage: Stage, time: float) -> None:
     """A vehicle that arrives and parks, waits for 30 % of the recording, and leaves."""
-    duration, bays = stage.scene.duration, stage.scene.places.bays
-    come, go = 0.3 * duration, 0.6 * duration
+    duration = stage.scene.duration
+    bays = stage.scene.places.bays
+    come = 0.3 * duration
+    go = 0.6 * duration
     here = stage.sensor(0.5 * duration)
-    order = sorted(bays, key=lambda bay: float(abs(np.hypot(*(np.array(bay[0].at(bay[1])[:2]) - here)) - 8.0)))
+    order = sorted(
+        bays, key=lambda bay: float(abs(np.hypot(*(np.array(bay[0].at(bay[1])[:2]) - here)) - 8.0))
+    )
     indoors = not any(part.kind == ObjectClass.ROAD for part in stage.scene.parts)
     slow, room = (0.3, 0.5) if indoors else (1.0, DRIVING)
     for path, stop in order:
@@ -300,7 +370,9 @@ def _park(stage: Stage, time: float) -> None:
         if any(np.hypot(*(place - other)) < 7.0 for other in stage.taken):
             continue
         schedule = _parked(arrive(stop, 5.0, come), depart(stop, 5.0, go), stop, go, slow)
-        if stage.free(path, stop - 9 * slow, stop + 9 * slow, room) and stage.apart(path, schedule, 2.0):
+        if stage.free(path, stop - 9 * slow, stop + 9 * slow, room) and stage.apart(
+            path, schedule, 2.0
+        ):
             body = objects.forklift(stage.rng) if indoors else objects.car(stage.rng)
             kind = ObjectClass.MOVING_OTHER_VEHICLE if indoors else ObjectClass.MOVING_CAR
             stage.taken.append(place)

@@ -1,4 +1,7 @@
-"""Classes of simulated points: the subset of SemanticKITTI's numbers and names that the scenes use."""
+"""Classes of simulated points.
+
+The subset of SemanticKITTI's numbers and names that the scenes use.
+"""
 
 from __future__ import annotations
 
@@ -36,9 +39,14 @@ class ObjectClass(IntEnum):
     MOVING_DOOR = 264
 
 
-CLASS_NAMES = {int(kind): kind.name.lower().replace("parked_", "").replace("_", " ") for kind in ObjectClass}
+CLASS_NAMES = {
+    int(kind): kind.name.lower().replace("parked_", "").replace("_", " ") for kind in ObjectClass
+}
 
-BY_EFFECTS = (ObjectClass.MIXED_PIXEL, *(kind for kind in ObjectClass if kind >= ObjectClass.MOVING_MIXED_PIXEL))
+BY_EFFECTS = (
+    ObjectClass.MIXED_PIXEL,
+    *(kind for kind in ObjectClass if kind >= ObjectClass.MOVING_MIXED_PIXEL),
+)
 """Classes that only effects produce."""
 
 REFLECTANCE = {

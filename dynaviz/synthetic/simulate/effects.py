@@ -1,4 +1,7 @@
-"""What real scans have and ideal ones do not: sensor effects and difficult behaviour, each a switch with a unit."""
+"""What real scans have and ideal ones do not.
+
+Sensor effects and difficult behaviour, each a switch with a unit.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +24,16 @@ def _number(text: str) -> Any:
 
 @dataclass(frozen=True)
 class Effects:
-    """Effects of a simulated sequence. Each is off by default, and then changes no bit of the sequence.
+    """Effects of a simulated sequence.
 
-    Off means 0, except for ``pulse_m``, which has no effect without ``divergence_mrad``, and ``dropout``, whose default
-    is the drop-out rate of the plain simulator.
+    Each is off by default, and then changes no bit of the sequence.
 
-    ``docs/simulator.md`` explains each effect, its source and its magnitude in the ``*_real`` presets. Every effect has
-    random numbers of its own: switching one on leaves the noise of the others as it was.
+    Off means 0, except for ``pulse_m``, which has no effect without ``divergence_mrad``, and
+    ``dropout``, whose default is the drop-out rate of the plain simulator.
+
+    ``docs/simulator.md`` explains each effect, its source and its magnitude in the ``*_real``
+    presets. Every effect has random numbers of its own: switching one on leaves the noise of the
+    others as it was.
 
     Raises:
         UsageError: for a value out of range.
@@ -35,24 +41,44 @@ class Effects:
 
     sweep_s: float = _off("s", "duration of a sweep in which sensor and movers move", 1.0)
     raw: int = field(
-        default=0, metadata={"unit": "", "text": "1 leaves the points of a sweep without deskewing", "range": (0, 1)}
+        default=0,
+        metadata={
+            "unit": "",
+            "text": "1 leaves the points of a sweep without deskewing",
+            "range": (0, 1),
+        },
     )
-    divergence_mrad: float = _off("mrad", "full beam divergence; gives mixed pixels at depth edges", 20.0)
+    divergence_mrad: float = _off(
+        "mrad", "full beam divergence; gives mixed pixels at depth edges", 20.0
+    )
     pulse_m: float = field(
         default=1.0,
-        metadata={"unit": "m", "text": "two surfaces nearer than this give one mixed return", "range": (0.0, 100.0)},
+        metadata={
+            "unit": "m",
+            "text": "two surfaces nearer than this give one mixed return",
+            "range": (0.0, 100.0),
+        },
     )
     dropout: float = field(
-        default=0.04, metadata={"unit": "", "text": "share of returns lost at any range", "range": (0.0, 1.0)}
+        default=0.04,
+        metadata={"unit": "", "text": "share of returns lost at any range", "range": (0.0, 1.0)},
     )
-    dropout_range: float = _off("", "share of returns lost at 100 m, in proportion to the range", 1.0)
+    dropout_range: float = _off(
+        "", "share of returns lost at 100 m, in proportion to the range", 1.0
+    )
     dropout_incidence: float = _off("", "share of returns lost at grazing incidence", 1.0)
-    noise_range_m: float = _off("m", "additional standard deviation of the range at 100 m, in proportion to it", 10.0)
-    noise_incidence_m: float = _off("m", "additional standard deviation at 45 degrees of incidence", 1.0)
+    noise_range_m: float = _off(
+        "m", "additional standard deviation of the range at 100 m, in proportion to it", 10.0
+    )
+    noise_incidence_m: float = _off(
+        "m", "additional standard deviation at 45 degrees of incidence", 1.0
+    )
     beam_deg: float = _off("°", "standard deviation of the constant angle error of each beam", 5.0)
     bloom_deg: float = _off("°", "radius of the halo around retro-reflectors", 10.0)
     multipath: float = _off("", "share of returns from the ground that are mirrored below it", 1.0)
-    rain_per_m3: float = _off("1/m³", "drops or grains of dust that return a beam, per volume", 1000.0)
+    rain_per_m3: float = _off(
+        "1/m³", "drops or grains of dust that return a beam, per volume", 1000.0
+    )
     vegetation_gap: float = _off("", "share of rays that pass each leaf", 0.99)
     glass: float = _off("", "share of rays that pass a window pane", 1.0)
     drift_m: float = _off("m", "standard deviation of the position drift after 100 m", 50.0)
@@ -70,7 +96,8 @@ class Effects:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            value, (low, high) = getattr(self, each.name), each.metadata["range"]
+            value = getattr(self, each.name)
+            (low, high) = each.metadata["range"]
             if not low <= value <= high:
                 raise UsageError(f"simulate: {each.name} = {value}: give {low:g} to {high:g}")
 
@@ -82,7 +109,11 @@ class Effects:
     @property
     def active(self) -> dict[str, float | int]:
         """The effects that are switched on, by name."""
-        return {e.name: getattr(self, e.name) for e in fields(self) if getattr(self, e.name) != e.default}
+        return {
+            e.name: getattr(self, e.name)
+            for e in fields(self)
+            if getattr(self, e.name) != e.default
+        }
 
 
 NAMES = tuple(each.name for each in fields(Effects))

@@ -15,7 +15,11 @@ from dynaviz.synthetic.simulate.movers import Mover
 from dynaviz.synthetic.simulate.scene import MeshPart, SimulatedScene
 from dynaviz.synthetic.simulate.shapes import Mesh
 
-GOLDEN = (0.6180339887498949, 0.7548776662466927)  # low-discrepancy steps: golden ratio and plastic number
+# low-discrepancy steps: golden ratio and plastic number
+GOLDEN = (
+    0.6180339887498949,
+    0.7548776662466927,
+)
 REFLECTING = (ObjectClass.ROAD, ObjectClass.SIDEWALK, ObjectClass.TERRAIN, ObjectClass.OTHER_GROUND)
 
 
@@ -55,7 +59,12 @@ class Hits:
 
     def where(self, chosen: Bool, other: Hits) -> Hits:
         """These hits, with those of ``other`` in the chosen places, (N,) bool."""
-        return Hits(*(np.where(chosen, getattr(other, f), getattr(self, f)) for f in Hits.__dataclass_fields__))
+        return Hits(
+            *(
+                np.where(chosen, getattr(other, f), getattr(self, f))
+                for f in Hits.__dataclass_fields__
+            )
+        )
 
 
 def mounts(sensor: Sensor) -> list[F64]:
@@ -72,12 +81,23 @@ def mounts(sensor: Sensor) -> list[F64]:
 
 
 def sweep_rays(sensor: Sensor, frame: int, rng: np.random.Generator) -> Rays:
-    """All rays of one sweep; a spinning sensor starts each sweep at a random fraction of an azimuth step."""
-    directions, origins, lidar = [], [], []
+    """All rays of one sweep.
+
+    A spinning sensor starts each sweep at a random fraction of an azimuth step.
+    """
+    directions = []
+    origins = []
+    lidar = []
     for number, T in enumerate(mounts(sensor)):
-        azimuth, elevation = _non_repetitive(sensor, frame) if sensor.points_per_sweep else _rings(sensor, rng.random())
+        azimuth, elevation = (
+            _non_repetitive(sensor, frame)
+            if sensor.points_per_sweep
+            else _rings(sensor, rng.random())
+        )
         horizontal = np.cos(elevation)
-        local = np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=1)
+        local = np.stack(
+            [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=1
+        )
         directions.append(geometry.apply(T, local) - T[:3, 3])
         origins.append(np.broadcast_to(T[:3, 3], local.shape))
         lidar.append(np.full(len(local), number, np.uint8))
@@ -85,31 +105,45 @@ def sweep_rays(sensor: Sensor, frame: int, rng: np.random.Generator) -> Rays:
 
 
 def beams(sensor: Sensor) -> F64:
-    """(rings,) float64, degrees: elevations of all beams from the lowest up; rings and elevation must be known."""
+    """(rings,) float64, degrees: elevations of all beams from the lowest up.
+
+    Rings and elevation must be known.
+    """
     assert sensor.elevation
     assert sensor.rings
     return np.array(sensor.elevations or np.linspace(*sensor.elevation, sensor.rings))
 
 
 def _rings(sensor: Sensor, start: float) -> tuple[F64, F64]:
-    """Azimuth and elevation over the field of view, radians, firing by firing, from the lowest beam up."""
+    """Azimuth and elevation over the field of view, radians, firing by firing, from the lowest beam
+    up.
+    """
     assert sensor.azimuth_step
     low, high = sensor.azimuth
     firings = np.arange(int((high - low) / sensor.azimuth_step))
     elevations = beams(sensor)
-    within = (np.arange(len(elevations)) / len(elevations) + start) % 1  # the beams of one firing follow one another
+    within = (
+        np.arange(len(elevations)) / len(elevations) + start
+    ) % 1  # the beams of one firing follow one another
     azimuth = low + sensor.azimuth_step * (firings[:, None] + within)
-    return np.radians(azimuth.ravel()), np.radians(np.broadcast_to(elevations, azimuth.shape).ravel())
+    return np.radians(azimuth.ravel()), np.radians(
+        np.broadcast_to(elevations, azimuth.shape).ravel()
+    )
 
 
 def _non_repetitive(sensor: Sensor, frame: int) -> tuple[F64, F64]:
-    """Azimuth and elevation, radians: a non-repetitive pattern that fills the field of view evenly over many sweeps."""
+    """Azimuth and elevation, radians.
+
+    A non-repetitive pattern that fills the field of view evenly over many sweeps.
+    """
     assert sensor.points_per_sweep
     assert sensor.elevation
     count = frame * sensor.points_per_sweep + np.arange(sensor.points_per_sweep)
     across, up = (count * share % 1 for share in GOLDEN)
     fields = (sensor.azimuth, sensor.elevation)
-    azimuth, elevation = (low + (high - low) * u for (low, high), u in zip(fields, (across, up), strict=True))
+    azimuth, elevation = (
+        low + (high - low) * u for (low, high), u in zip(fields, (across, up), strict=True)
+    )
     return np.radians(azimuth), np.radians(elevation)
 
 
@@ -131,10 +165,16 @@ class RayScene:
         directions = geometry.apply(T_scene_sensor, rays.directions) - T_scene_sensor[:3, 3]
         packed = np.concatenate([origins, directions], axis=1).astype(np.float32)
         static = self.static.cast(packed)
-        present = [(m, mesh) for m in self.scene.movers if (mesh := m.mesh(time, self.scene.height)) is not None]
+        present = [
+            (m, mesh)
+            for m in self.scene.movers
+            if (mesh := m.mesh(time, self.scene.height)) is not None
+        ]
         if not present:
             return static
-        moving = Surfaces([mover for mover, _ in present], [mesh for _, mesh in present]).cast(packed)
+        moving = Surfaces([mover for mover, _ in present], [mesh for _, mesh in present]).cast(
+            packed
+        )
         nearer = moving.range < static.range
         return static.where(nearer, moving)
 
@@ -154,29 +194,37 @@ class Surfaces:
         """Nearest surface along (N, 6) float32 rays: origin and direction."""
         distance, facing, number = self._meshes.cast(rays)
         owner = np.minimum(number, len(self._kind) - 1)
-        kind, instance = self._kind[owner], self._instance[owner]
+        kind = self._kind[owner]
+        instance = self._instance[owner]
         return Hits(distance, facing, kind, instance, self._reflectance[owner], self._glass[owner])
 
 
-def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator, lost: float = 0.04) -> tuple[F64, Bool, U16, F32]:
+def receive(
+    hits: Hits, sensor: Sensor, rng: np.random.Generator, lost: float = 0.04
+) -> tuple[F64, Bool, U16, F32]:
     """The sensor's measurements of the hits.
 
-    A bright surface at a right angle returns light up to ``max_range``; dark surfaces and grazing angles reduce the
-    range. A share ``lost`` of the returns is lost. One in 2000 returns from the ground is a multipath return and lies
-    too far.
+    A bright surface at a right angle returns light up to ``max_range``; dark surfaces and grazing
+    angles reduce the range. A share ``lost`` of the returns is lost. One in 2000 returns from the
+    ground is a multipath return and lies too far.
 
     Returns:
-        (N,) range with noise, metres; (N,) bool, whether a ray returns; (N,) class; (N,) intensity from 0 to 1.
+        (N,) range with noise, metres; (N,) bool, whether a ray returns; (N,) class; (N,) intensity
+        from 0 to 1.
     """
     count = len(hits.range)
     assert sensor.max_range is not None
-    reach = sensor.max_range * np.sqrt(hits.reflectance / 0.8) * np.clip(hits.facing, 1e-3, 1) ** 0.1
+    reach = (
+        sensor.max_range * np.sqrt(hits.reflectance / 0.8) * np.clip(hits.facing, 1e-3, 1) ** 0.1
+    )
     reach = np.minimum(reach * rng.normal(1, 0.12, count), sensor.max_range)
     seen = (hits.range < reach) & (hits.range >= sensor.min_range) & (rng.random(count) > lost)
     detour = (rng.random(count) < 0.0005) & np.isin(hits.kind, REFLECTING)
     longer = np.where(detour, rng.uniform(1.15, 1.8, count), 1.0)
     distance = hits.range * longer + rng.normal(0, sensor.range_noise or 0.0, count)
     kind = np.where(detour, ObjectClass.OUTLIER, hits.kind).astype(np.uint16)
-    intensity = np.clip(hits.reflectance * (0.4 + 0.6 * hits.facing) * rng.normal(1, 0.08, count), 0, 1)
+    intensity = np.clip(
+        hits.reflectance * (0.4 + 0.6 * hits.facing) * rng.normal(1, 0.08, count), 0, 1
+    )
     seen &= (distance >= sensor.min_range) & (distance <= sensor.max_range)
     return distance, seen, kind, intensity.astype(np.float32)

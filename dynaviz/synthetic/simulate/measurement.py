@@ -1,4 +1,6 @@
-"""One sweep with sensor effects, from the rays to points in the frame of the pose that the sweep is given."""
+"""One sweep with sensor effects, from the rays to points in the frame of the pose that the sweep is
+given.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,14 @@ from dynaviz.synthetic.simulate import optics
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.effects import NAMES, Effects
 from dynaviz.synthetic.simulate.lidar import Hits, Rays, RayScene, receive, sweep_rays
-from dynaviz.synthetic.simulate.sweep import MovingSweep, TimedRays, by_tick, ray_shares, sensor_poses, time_slices
+from dynaviz.synthetic.simulate.sweep import (
+    MovingSweep,
+    TimedRays,
+    by_tick,
+    ray_shares,
+    sensor_poses,
+    time_slices,
+)
 
 STEEPEST = 20.0  # limit of the tangent of the incidence angle, for noise
 BEAMS = 40  # beams of a sensor without rings, which fires them in turn
@@ -39,7 +48,9 @@ class Returns:
     instances: I32
 
 
-def measure(ray_scene: RayScene, sensor: Sensor, index: int, effects: Effects, seed: int) -> Returns:
+def measure(
+    ray_scene: RayScene, sensor: Sensor, index: int, effects: Effects, seed: int
+) -> Returns:
     """Simulate a sweep whose middle is at the time of its frame.
 
     Args:
@@ -51,7 +62,8 @@ def measure(ray_scene: RayScene, sensor: Sensor, index: int, effects: Effects, s
     """
     rng = np.random.default_rng([seed, 2, index])  # as without effects
     nominal = sweep_rays(sensor, index, rng)
-    time, shares = index / (sensor.rate or 10.0), ray_shares(nominal)
+    time = index / (sensor.rate or 10.0)
+    shares = ray_shares(nominal)
     poses, ticks = sensor_poses(ray_scene.scene, sensor, time, effects.sweep_s, shares)
     actual = _beam_errors(nominal, sensor, effects, seed)
     rays = TimedRays(
@@ -68,8 +80,10 @@ def measure(ray_scene: RayScene, sensor: Sensor, index: int, effects: Effects, s
     if effects.rain_per_m3:
         drops = optics.rain(hits, effects, sensor, _stream(seed, index, "rain_per_m3"))
         wet = np.isfinite(drops)
-        distance, kinds = np.where(wet, drops, distance), np.where(wet, ObjectClass.AIRBORNE, kinds).astype(np.uint16)
-        seen, instances = seen | wet, np.where(wet, 0, instances).astype(np.int32)
+        distance = np.where(wet, drops, distance)
+        kinds = np.where(wet, ObjectClass.AIRBORNE, kinds).astype(np.uint16)
+        seen = seen | wet
+        instances = np.where(wet, 0, instances).astype(np.int32)
         intensity = np.where(wet, np.float32(0.02), intensity)
     assert sensor.max_range is not None
     seen &= (distance >= sensor.min_range) & (distance <= sensor.max_range)
@@ -86,21 +100,30 @@ def _stream(seed: int, index: int, name: str) -> np.random.Generator:
 
 
 def _beam_errors(rays: Rays, sensor: Sensor, effects: Effects, seed: int) -> F64:
-    """(N, 3) true directions in the sensor frame: each beam has constant errors that the calibration missed."""
+    """(N, 3) true directions in the sensor frame.
+
+    Each beam has constant errors that the calibration missed.
+    """
     if not effects.beam_deg:
         return rays.directions
     rings = sensor.rings or BEAMS
     errors = np.radians(effects.beam_deg) * np.random.default_rng([seed, 5]).normal(
         size=(len(sensor.mounts) or 1, rings, 2)
     )
-    beam = np.arange(len(rays.lidar)) % rings  # of each lidar: the rays of a lidar are a multiple of its rings
+    # of each lidar: the rays of a lidar are a multiple of its rings
+    beam = np.arange(len(rays.lidar)) % rings
     turn, lift = errors[rays.lidar, beam].T
-    radius, angle = np.hypot(turn, lift), np.arctan2(lift, turn)
+    radius = np.hypot(turn, lift)
+    angle = np.arctan2(lift, turn)
     return optics.around(rays.directions, radius, angle)
 
 
 def _meet(
-    rays: TimedRays, sweep: MovingSweep, sensor: Sensor, effects: Effects, stream: Callable[[str], np.random.Generator]
+    rays: TimedRays,
+    sweep: MovingSweep,
+    sensor: Sensor,
+    effects: Effects,
+    stream: Callable[[str], np.random.Generator],
 ) -> Hits:
     """What the beams meet."""
     hits = sweep.cast(rays)
@@ -118,8 +141,9 @@ def _meet(
 def _kept(hits: Hits, effects: Effects, rng: np.random.Generator) -> Bool:
     """(N,) bool: returns that are not lost for their range or angle of incidence.
 
-    The share lost is ``dropout_range`` at 100 m, in proportion to the range, and ``dropout_incidence`` at grazing
-    incidence, in proportion to the fourth power of 1 minus the cosine of incidence.
+    The share lost is ``dropout_range`` at 100 m, in proportion to the range, and
+    ``dropout_incidence`` at grazing incidence, in proportion to the fourth power of 1 minus the
+    cosine of incidence.
     """
     far = effects.dropout_range * np.minimum(hits.range, 1e3) / 100
     grazing = effects.dropout_incidence * (1 - np.clip(hits.facing, 0, 1)) ** 4
@@ -128,7 +152,9 @@ def _kept(hits: Hits, effects: Effects, rng: np.random.Generator) -> Bool:
 
 
 def _noise(hits: Hits, effects: Effects, rng: np.random.Generator) -> F64:
-    """(N,) metres: noise in addition to the sensor's, in proportion to range and tangent of incidence."""
+    """(N,) metres: noise in addition to the sensor's, in proportion to range and tangent of
+    incidence.
+    """
     facing = np.clip(hits.facing, 1 / STEEPEST, 1)
     far = effects.noise_range_m * np.minimum(hits.range, 1e3) / 100
     grazing = effects.noise_incidence_m * np.sqrt(1 - facing**2) / facing
@@ -137,6 +163,11 @@ def _noise(hits: Hits, effects: Effects, rng: np.random.Generator) -> F64:
 
 
 def _placed(rays: Rays, distance: F64, moving: tuple[F64, I64] | None) -> F64:
-    """(N, 3) points along the nominal rays: raw in the sensor frame, or deskewed in the scene frame."""
-    points = rays.origins + rays.directions * np.where(np.isfinite(distance), distance, 0.0)[:, None]
+    """(N, 3) points along the nominal rays.
+
+    Raw in the sensor frame, or deskewed in the scene frame.
+    """
+    points = (
+        rays.origins + rays.directions * np.where(np.isfinite(distance), distance, 0.0)[:, None]
+    )
     return points if moving is None else by_tick(*moving, points)

@@ -23,7 +23,8 @@ class Route:
     """A smooth path over the ground.
 
     Args:
-        points: (P, 2) metres; either dense, or corners that are smoothed by ``rounds`` of corner cutting.
+        points: (P, 2) metres; either dense, or corners that are smoothed by ``rounds`` of corner
+            cutting.
         rounds: number of rounds of corner cutting, each at a quarter of the sides (Chaikin's rule).
     """
 
@@ -45,11 +46,16 @@ class Route:
 
     def at(self, distance: float | F64) -> tuple[F64, F64, F64]:
         """X, y (metres) and heading (radians) at distances along the route, clamped to its ends."""
-        x, y, yaw = (np.interp(distance, self.distance, column) for column in (*self.xy.T, self.yaw))
+        x, y, yaw = (
+            np.interp(distance, self.distance, column) for column in (*self.xy.T, self.yaw)
+        )
         return x, y, yaw
 
     def offset(self, distance: float | F64, left: float | F64) -> tuple[F64, F64, F64]:
-        """X, y and heading at distances along the route, shifted to the left (negative: to the right)."""
+        """X, y and heading at distances along the route, shifted to the left (negative.
+
+        To the right).
+        """
         x, y, yaw = self.at(distance)
         return x - left * np.sin(yaw), y + left * np.cos(yaw), yaw
 
@@ -85,7 +91,8 @@ def arrive(end: float, speed: float, time: float, acceleration: float = 1.5) -> 
 
 def _run_up(elapsed: float, speed: float, acceleration: float) -> float:
     """Distance covered from a standing start, metres."""
-    elapsed, until = max(elapsed, 0.0), speed / acceleration
+    elapsed = max(elapsed, 0.0)
+    until = speed / acceleration
     return acceleration * elapsed**2 / 2 if elapsed < until else speed * (elapsed - until / 2)
 
 
@@ -96,7 +103,8 @@ class Movement:
     Attributes:
         path: the route.
         schedule: distance along the route over time.
-        upright: True keeps the z axis vertical; False follows the slope of the ground, as a vehicle does.
+        upright: True keeps the z axis vertical; False follows the slope of the ground, as a vehicle
+            does.
     """
 
     path: Route
@@ -104,7 +112,9 @@ class Movement:
     upright: bool = False
 
     def pose(self, time: float, height: Height) -> F64 | None:
-        """(4, 4) float64 pose on the ground in the scene frame, or None before and after the route."""
+        """(4, 4) float64 pose on the ground in the scene frame, or None before and
+        after the route.
+        """
         return self.poses([time], height)[0]
 
     def poses(self, times: Sequence[float], height: Height) -> list[F64 | None]:
@@ -119,7 +129,9 @@ class Movement:
 def _upright(x: F64, y: F64, yaw: F64, height: Height) -> F64:
     """(T, 4, 4) poses with a vertical z axis."""
     poses = np.tile(np.eye(4), (len(x), 1, 1))
-    poses[:, 0, 0], poses[:, 1, 0], poses[:, 0, 1] = np.cos(yaw), np.sin(yaw), -np.sin(yaw)
+    poses[:, 0, 0] = np.cos(yaw)
+    poses[:, 1, 0] = np.sin(yaw)
+    poses[:, 0, 1] = -np.sin(yaw)
     poses[:, 1, 1] = poses[:, 0, 0]
     poses[:, :3, 3] = np.stack([x, y, height(x, y)], axis=1)
     return poses
@@ -128,8 +140,12 @@ def _upright(x: F64, y: F64, yaw: F64, height: Height) -> F64:
 def _leaning(x: F64, y: F64, yaw: F64, height: Height) -> F64:
     """(T, 4, 4) poses of a vehicle with four wheels, 2.6 m by 1.4 m apart."""
     poses = np.tile(np.eye(4), (len(x), 1, 1))
-    forward, left = np.stack([np.cos(yaw), np.sin(yaw)]), np.stack([-np.sin(yaw), np.cos(yaw)])
-    wheels = np.stack([1.3 * forward, -1.3 * forward, 0.7 * left, -0.7 * left], axis=1) + np.stack([x, y])[:, None]
+    forward = np.stack([np.cos(yaw), np.sin(yaw)])
+    left = np.stack([-np.sin(yaw), np.cos(yaw)])
+    wheels = (
+        np.stack([1.3 * forward, -1.3 * forward, 0.7 * left, -0.7 * left], axis=1)
+        + np.stack([x, y])[:, None]
+    )
     for T, ground, x_axis, y_axis, place in zip(
         poses, height(*wheels).T, forward.T, left.T, np.stack([x, y], axis=1), strict=True
     ):
@@ -139,7 +155,9 @@ def _leaning(x: F64, y: F64, yaw: F64, height: Height) -> F64:
         Y = np.array([*y_axis, (port - starboard) / 1.4])
         Y -= X * np.sum(X * Y)
         Y /= np.linalg.norm(Y)
-        T[:3, 0], T[:3, 1], T[:3, 2] = X, Y, np.cross(X, Y)
+        T[:3, 0] = X
+        T[:3, 1] = Y
+        T[:3, 2] = np.cross(X, Y)
         T[:3, 3] = *place, (front + rear + port + starboard) / 4
     return poses
 
@@ -152,7 +170,8 @@ class Mover:
         kind: one of the moving classes.
         instance: instance number, from 1.
         motion: its motion over time.
-        body: its mesh after some distance (legs swing as it moves), standing on z = 0 and facing along x.
+        body: its mesh after some distance (legs swing as it moves), standing on z = 0 and facing
+            along x.
         reflectance: 0 to 1.
     """
 

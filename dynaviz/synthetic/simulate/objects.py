@@ -7,7 +7,17 @@ from functools import cache
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.synthetic.simulate.shapes import Mesh, box, boxes, ellipsoid, join, layers, leaves, quads, tube
+from dynaviz.synthetic.simulate.shapes import (
+    Mesh,
+    box,
+    boxes,
+    ellipsoid,
+    join,
+    layers,
+    leaves,
+    quads,
+    tube,
+)
 
 Face = list[tuple[float, float, float]]
 """Corners of a flat face, metres."""
@@ -21,20 +31,43 @@ STRIDE = 1.4
 
 def car(rng: np.random.Generator) -> Mesh:
     """A car of one of four models, 3.7 to 4.9 m long."""
-    length, height, boot = ((3.7, 1.5, 0.1), (4.3, 1.45, 0.25), (4.7, 1.42, 0.8), (4.9, 1.75, 0.15))[rng.integers(4)]
-    half, rear, front = 0.88, -length / 2, length / 2
+    length, height, boot = (
+        (3.7, 1.5, 0.1),
+        (4.3, 1.45, 0.25),
+        (4.7, 1.42, 0.8),
+        (4.9, 1.75, 0.15),
+    )[rng.integers(4)]
+    half = 0.88
+    rear = -length / 2
+    front = length / 2
     bonnet = front - 0.24 * length
-    profile = [(0.22, rear + 0.15, front - 0.15, half - 0.06), (0.45, rear, front, half), (0.7, rear, front, half)]
-    profile += [(0.88, rear + 0.05, front - 0.1, half - 0.03), (0.9, rear + boot, bonnet, half - 0.08)]
-    profile += [(height - 0.04, rear + boot + 0.35, bonnet - 0.75, 0.64), (height, rear + boot + 0.6, bonnet - 1, 0.55)]
+    profile = [
+        (0.22, rear + 0.15, front - 0.15, half - 0.06),
+        (0.45, rear, front, half),
+        (0.7, rear, front, half),
+    ]
+    profile += [
+        (0.88, rear + 0.05, front - 0.1, half - 0.03),
+        (0.9, rear + boot, bonnet, half - 0.08),
+    ]
+    profile += [
+        (height - 0.04, rear + boot + 0.35, bonnet - 0.75, 0.64),
+        (height, rear + boot + 0.6, bonnet - 1, 0.55),
+    ]
     return join([layers(profile), _wheels((0.3 * length, -0.3 * length), half - 0.1, 0.32)])
 
 
 def truck(rng: np.random.Generator) -> Mesh:
     """A lorry, 3.6 to 4 m high: cab, gap, box."""
-    length, height = rng.uniform(6.5, 9.0), rng.uniform(3.6, 4.0)
-    front, rear = length / 2, -length / 2
-    cab = [(0.5, front - 1.9, front, 1.15), (1.6, front - 1.9, front, 1.2), (2.5, front - 1.9, front - 0.2, 1.15)]
+    length = rng.uniform(6.5, 9.0)
+    height = rng.uniform(3.6, 4.0)
+    front = length / 2
+    rear = -length / 2
+    cab = [
+        (0.5, front - 1.9, front, 1.15),
+        (1.6, front - 1.9, front, 1.2),
+        (2.5, front - 1.9, front - 0.2, 1.15),
+    ]
     load = box(length - 2.2, 2.5, height - 0.95, at=(-1.1, 0, 0.95))
     chassis = box(length - 1.0, 0.9, 0.45, at=(-0.4, 0, 0.5))
     return join(
@@ -50,7 +83,8 @@ def truck(rng: np.random.Generator) -> Mesh:
 def forklift(_: np.random.Generator) -> Mesh:
     """A forklift with mast and empty fork."""
     mast = boxes(
-        [(1.05, 0.3, 1.1), (1.05, -0.3, 1.1), (1.05, 0, 2.1)], [(0.1, 0.1, 2.2), (0.1, 0.1, 2.2), (0.1, 0.7, 0.1)]
+        [(1.05, 0.3, 1.1), (1.05, -0.3, 1.1), (1.05, 0, 2.1)],
+        [(0.1, 0.1, 2.2), (0.1, 0.1, 2.2), (0.1, 0.7, 0.1)],
     )
     roof = boxes(
         [(0, 0, 2.05)] + [(x, y, 1.5) for x in (-0.6, 0.6) for y in (-0.4, 0.4)],
@@ -58,11 +92,24 @@ def forklift(_: np.random.Generator) -> Mesh:
     )
     fork = boxes([(1.6, 0.25, 0.15), (1.6, -0.25, 0.15)], (1.1, 0.12, 0.05))
     hull = layers([(0.15, -1.0, 1.0, 0.5), (0.95, -1.0, 0.9, 0.5), (1.0, -0.9, 0.1, 0.45)])
-    return join([hull, mast, roof, fork, box(0.3, 0.45, 0.8, at=(-0.3, 0, 1.0)), _wheels((0.6, -0.7), 0.45, 0.25)])
+    return join(
+        [
+            hull,
+            mast,
+            roof,
+            fork,
+            box(0.3, 0.45, 0.8, at=(-0.3, 0, 1.0)),
+            _wheels((0.6, -0.7), 0.45, 0.25),
+        ]
+    )
 
 
 def _wheels(axles: tuple[float, float], half: float, radius: float) -> Mesh:
-    return join(tube([(x, y - 0.1, radius), (x, y + 0.1, radius)], radius, 12) for x in axles for y in (-half, half))
+    return join(
+        tube([(x, y - 0.1, radius), (x, y + 0.1, radius)], radius, 12)
+        for x in axles
+        for y in (-half, half)
+    )
 
 
 def person(distance: float, height: float = 1.75) -> Mesh:
@@ -70,22 +117,42 @@ def person(distance: float, height: float = 1.75) -> Mesh:
     swing = 0.55 * np.sin(2 * np.pi * distance / STRIDE)
     parts = [_torso()]
     for side in (-1, 1):
-        parts.append(_limb((0, 0.1 * side, 0.92), side * swing, (0.46, 0.46), (0.095, 0.07, 0.05), knee=-0.35))
-        parts.append(_limb((0, 0.25 * side, 1.4), -0.8 * side * swing, (0.3, 0.28), (0.06, 0.045, 0.035), knee=0.3))
+        parts.append(
+            _limb(
+                (0, 0.1 * side, 0.92), side * swing, (0.46, 0.46), (0.095, 0.07, 0.05), knee=-0.35
+            )
+        )
+        parts.append(
+            _limb(
+                (0, 0.25 * side, 1.4),
+                -0.8 * side * swing,
+                (0.3, 0.28),
+                (0.06, 0.045, 0.035),
+                knee=0.3,
+            )
+        )
     return join(parts).scaled(height / 1.75, 1, height / 1.75)
 
 
 @cache
 def _torso() -> Mesh:
     """Trunk, head and neck of a person."""
-    trunk, head = ellipsoid(0.14, 0.22, 0.33, at=(0, 0, 1.17)), ellipsoid(0.1, 0.09, 0.13, at=(0.02, 0, 1.62), sides=8)
+    trunk = ellipsoid(0.14, 0.22, 0.33, at=(0, 0, 1.17))
+    head = ellipsoid(0.1, 0.09, 0.13, at=(0.02, 0, 1.62), sides=8)
     return join([trunk, head, tube([(0, 0, 1.46), (0.01, 0, 1.55)], 0.06, 6)])
 
 
 def _limb(
-    top: tuple[float, float, float], angle: float, lengths: tuple[float, float], radii: tuple[float, ...], knee: float
+    top: tuple[float, float, float],
+    angle: float,
+    lengths: tuple[float, float],
+    radii: tuple[float, ...],
+    knee: float,
 ) -> Mesh:
-    """An upper and a lower segment, hanging from ``top`` and swung forward by an angle (radians); the knee bends."""
+    """An upper and a lower segment, hanging from ``top`` and swung forward by an angle (radians).
+
+    The knee bends.
+    """
     points = [np.array(top)]
     for length, lean in zip(lengths, (angle, angle + knee * (1 - np.cos(angle))), strict=True):
         points.append(points[-1] + length * np.array([np.sin(lean), 0, -np.cos(lean)]))
@@ -101,10 +168,18 @@ def cyclist(distance: float) -> Mesh:
         ellipsoid(0.11, 0.09, 0.13, at=(0.12, 0, 1.66), sides=8),
     ]
     for side in (-1, 1):
-        pedal = np.array([0.05 + 0.17 * side * np.cos(turn), 0.1 * side, 0.3 - 0.17 * side * np.sin(turn)])
+        pedal = np.array(
+            [0.05 + 0.17 * side * np.cos(turn), 0.1 * side, 0.3 - 0.17 * side * np.sin(turn)]
+        )
         knee = (np.array([-0.15, 0.1 * side, 0.95]) + pedal) / 2 + (0.28, 0, 0.1)
         parts.append(tube([(-0.15, 0.1 * side, 0.95), knee, pedal], (0.09, 0.07, 0.05), 6))
-        parts.append(tube([(0.05, 0.2 * side, 1.42), (0.3, 0.25 * side, 1.2), (0.45, 0.22 * side, 1.08)], 0.045, 6))
+        parts.append(
+            tube(
+                [(0.05, 0.2 * side, 1.42), (0.3, 0.25 * side, 1.2), (0.45, 0.22 * side, 1.08)],
+                0.045,
+                6,
+            )
+        )
     return join(parts)
 
 
@@ -113,9 +188,15 @@ def bicycle() -> Mesh:
     """A bicycle without a rider; rays pass through its wheels."""
     around = np.linspace(0, 2 * np.pi, 17)
     rim = np.column_stack([0.34 * np.cos(around), np.zeros(17), 0.34 + 0.34 * np.sin(around)])
-    bars = [((-0.52, 0, 0.34), (-0.15, 0, 0.9)), ((-0.52, 0, 0.34), (0.05, 0, 0.3)), ((0.05, 0, 0.3), (0.4, 0, 0.85))]
+    bars = [
+        ((-0.52, 0, 0.34), (-0.15, 0, 0.9)),
+        ((-0.52, 0, 0.34), (0.05, 0, 0.3)),
+        ((0.05, 0, 0.3), (0.4, 0, 0.85)),
+    ]
     bars += [((-0.15, 0, 0.8), (0.4, 0, 0.85)), ((0.52, 0, 0.34), (0.4, 0, 1.05))]
-    frame = [tube(ends, 0.02, 5) for ends in bars] + [tube([(0.42, -0.25, 1.05), (0.42, 0.25, 1.05)], 0.02, 5)]
+    frame = [tube(ends, 0.02, 5) for ends in bars] + [
+        tube([(0.42, -0.25, 1.05), (0.42, 0.25, 1.05)], 0.02, 5)
+    ]
     wheels = [tube(np.add(rim, (x, 0, 0)), 0.025, 5) for x in (-0.52, 0.52)]
     return join([*wheels, *frame, box(0.25, 0.12, 0.06, at=(-0.17, 0, 0.92))])
 
@@ -127,7 +208,10 @@ def trunk(rng: np.random.Generator, height: float) -> Mesh:
     """A bent trunk with three branches."""
     bend = rng.uniform(-0.25, 0.25, 2)
     stem = [(0, 0, -0.5), (0, 0, 0.1), (*(bend / 2), height * 0.35), (*bend, height * 0.75)]
-    branches = [_branch(np.array([*(bend / 2), height * 0.35]), a, height) for a in rng.uniform(0, 2 * np.pi, 3)]
+    branches = [
+        _branch(np.array([*(bend / 2), height * 0.35]), a, height)
+        for a in rng.uniform(0, 2 * np.pi, 3)
+    ]
     return join([tube(stem, (0.24, 0.2, 0.15, 0.06)), *branches])
 
 
@@ -168,7 +252,10 @@ def lamp(height: float = 6.0, arm: float = 1.5) -> Mesh:
 def sign(height: float = 2.4) -> Mesh:
     """A traffic sign on its pole."""
     return join(
-        [tube([(0, 0, -0.3), (0, 0, height)], 0.035, 6), tube([(0.04, 0, height), (0.07, 0, height)], 0.32, 12)]
+        [
+            tube([(0, 0, -0.3), (0, 0, height)], 0.035, 6),
+            tube([(0.04, 0, height), (0.07, 0, height)], 0.32, 12),
+        ]
     )
 
 
@@ -177,7 +264,8 @@ def bench(length: float = 1.8) -> Mesh:
     planks = [(0, 0, 0.45), (-0.22, 0, 0.65), (-0.25, 0, 0.82)]
     feet = [(0, y, 0.21) for y in (-0.4 * length, 0.4 * length)]
     return boxes(
-        planks + feet, [(0.45, length, 0.05), (0.04, length, 0.1), (0.04, length, 0.1)] + 2 * [(0.35, 0.08, 0.42)]
+        planks + feet,
+        [(0.45, length, 0.05), (0.04, length, 0.1), (0.04, length, 0.1)] + 2 * [(0.35, 0.08, 0.42)],
     )
 
 
@@ -185,25 +273,41 @@ def table() -> Mesh:
     """A table and four chairs."""
     legs = [(x, y, 0.36) for x in (-0.65, 0.65) for y in (-0.35, 0.35)]
     desk = boxes([(0, 0, 0.74), *legs], [(1.5, 0.85, 0.04)] + 4 * [(0.05, 0.05, 0.72)])
-    return join([desk] + [_chair().moved(x, y, yaw=np.sign(y) * np.pi / 2) for x in (-0.4, 0.4) for y in (-0.75, 0.75)])
+    return join(
+        [desk]
+        + [
+            _chair().moved(x, y, yaw=np.sign(y) * np.pi / 2)
+            for x in (-0.4, 0.4)
+            for y in (-0.75, 0.75)
+        ]
+    )
 
 
 def _chair() -> Mesh:
     legs = [(x, y, 0.22) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
     return boxes(
-        [(0, 0, 0.45), (0.22, 0, 0.7), *legs], [(0.45, 0.45, 0.04), (0.03, 0.45, 0.45)] + 4 * [(0.04, 0.04, 0.44)]
+        [(0, 0, 0.45), (0.22, 0, 0.7), *legs],
+        [(0.45, 0.45, 0.04), (0.03, 0.45, 0.45)] + 4 * [(0.04, 0.04, 0.44)],
     )
 
 
 def shelf(rng: np.random.Generator, length: float = 4.0, height: float = 2.6) -> Mesh:
     """A rack with four boards and crates on them; rays pass between."""
     boards = [(0, 0, z) for z in np.linspace(0.1, height, 4)]
-    posts = [(x, y, height / 2) for x in np.linspace(-length / 2, length / 2, 3) for y in (-0.4, 0.4)]
+    posts = [
+        (x, y, height / 2) for x in np.linspace(-length / 2, length / 2, 3) for y in (-0.4, 0.4)
+    ]
     rack = boxes(boards + posts, 4 * [(length, 0.9, 0.05)] + 6 * [(0.08, 0.08, height)])
     places = [
-        (x, 0, z) for x in np.arange(-length / 2 + 0.4, length / 2 - 0.3, 0.8) for z in np.linspace(0.1, height, 4)[:3]
+        (x, 0, z)
+        for x in np.arange(-length / 2 + 0.4, length / 2 - 0.3, 0.8)
+        for z in np.linspace(0.1, height, 4)[:3]
     ]
-    crates = [box(*rng.uniform((0.4, 0.4, 0.3), (0.75, 0.8, 0.65)), at=p) for p in places if rng.random() < 0.65]
+    crates = [
+        box(*rng.uniform((0.4, 0.4, 0.3), (0.75, 0.8, 0.65)), at=p)
+        for p in places
+        if rng.random() < 0.65
+    ]
     return join([rack, *crates])
 
 
@@ -216,7 +320,11 @@ def fence(length: float, height: float = 1.3) -> Mesh:
         + [(x, 0.05, height / 2) for x in posts]
         + [(0, 0.03, 0.3), (0, 0.03, height - 0.25)]
     )
-    sizes = len(pickets) * [(0.07, 0.02, height)] + len(posts) * [(0.1, 0.1, height + 0.1)] + 2 * [(length, 0.04, 0.08)]
+    sizes = (
+        len(pickets) * [(0.07, 0.02, height)]
+        + len(posts) * [(0.1, 0.1, height + 0.1)]
+        + 2 * [(length, 0.04, 0.08)]
+    )
     return boxes(stakes, sizes)
 
 
@@ -224,30 +332,47 @@ def fence(length: float, height: float = 1.3) -> Mesh:
 
 
 def house(rng: np.random.Generator, width: float, depth: float, storeys: int) -> tuple[Mesh, Mesh]:
-    """Two meshes: walls, roof, balconies and rooms behind open windows; and the panes of the closed windows."""
+    """Two meshes: walls, roof, balconies and rooms behind open windows.
+
+    And the panes of the closed windows.
+    """
     height = 3.2 * storeys + 0.6
     front, panes = _front(rng, width, height, storeys)
-    w, d = width / 2, -depth
+    w = width / 2
+    d = -depth
     sides: list[Face] = [
         [(-w, d, -1), (-w, 0, -1), (-w, 0, height), (-w, d, height)],
         [(w, 0, -1), (w, d, -1), (w, d, height), (w, 0, height)],
     ]
     back: Face = [(w, d, -1), (-w, d, -1), (-w, d, height), (w, d, height)]
     ridge = height + 0.35 * depth
-    roof: list[Face] = [[(-w, 0.4, height), (w, 0.4, height), (w, d / 2, ridge), (-w, d / 2, ridge)]]
+    roof: list[Face] = [
+        [(-w, 0.4, height), (w, 0.4, height), (w, d / 2, ridge), (-w, d / 2, ridge)]
+    ]
     roof += [[(w, d - 0.4, height), (-w, d - 0.4, height), (-w, d / 2, ridge), (w, d / 2, ridge)]]
     rooms: list[Face] = [[(-w, -4, 0), (w, -4, 0), (w, -4, height), (-w, -4, height)]]
-    rooms += [[(-w, -4, z), (w, -4, z), (w, 0, z), (-w, 0, z)] for z in 0.5 + 3.2 * np.arange(storeys)]
+    rooms += [
+        [(-w, -4, z), (w, -4, z), (w, 0, z), (-w, 0, z)] for z in 0.5 + 3.2 * np.arange(storeys)
+    ]
     cornice = box(width, 0.3, 0.25, at=(0, 0.15, height - 0.35))
-    return join([front, quads([*sides, back, *roof, *rooms]), cornice, *_balconies(rng, width, storeys)]), panes
+    return join(
+        [front, quads([*sides, back, *roof, *rooms]), cornice, *_balconies(rng, width, storeys)]
+    ), panes
 
 
-def _front(rng: np.random.Generator, width: float, height: float, storeys: int) -> tuple[Mesh, Mesh]:
-    """A wall with a grid of recessed windows, a fifth of them open; and the panes of the closed ones."""
+def _front(
+    rng: np.random.Generator, width: float, height: float, storeys: int
+) -> tuple[Mesh, Mesh]:
+    """A wall with a grid of recessed windows, a fifth of them open.
+
+    And the panes of the closed ones.
+    """
     columns = max(2, int(width / 2.6))
     middles = (np.arange(columns) + 0.5) * width / columns - width / 2
     x = np.concatenate([[-width / 2], (middles[:, None] + (-0.6, 0.6)).ravel(), [width / 2]])
-    z = np.concatenate([[-1], (1.4 + 3.2 * np.arange(storeys)[:, None] + (0, 1.5)).ravel(), [height]])
+    z = np.concatenate(
+        [[-1], (1.4 + 3.2 * np.arange(storeys)[:, None] + (0, 1.5)).ravel(), [height]]
+    )
     fields = [(i, j) for i in range(len(x) - 1) for j in range(len(z) - 1)]
     windows = [(x[i], x[i + 1], z[j], z[j + 1]) for i, j in fields if i % 2 and j % 2]
     wall = [_upright(x[i], x[i + 1], z[j], z[j + 1], 0) for i, j in fields if not (i % 2 and j % 2)]
@@ -278,7 +403,8 @@ def _balconies(rng: np.random.Generator, width: float, storeys: int) -> list[Mes
 def _balcony() -> Mesh:
     bars = [(x, 1.05, 0.55) for x in np.arange(-1.2, 1.21, 0.15)]
     return boxes(
-        [(0, 0.55, 0), (0, 1.05, 1.1), *bars], [(2.5, 1.1, 0.15), (2.5, 0.05, 0.05)] + len(bars) * [(0.02, 0.02, 1.1)]
+        [(0, 0.55, 0), (0, 1.05, 1.1), *bars],
+        [(2.5, 1.1, 0.15), (2.5, 0.05, 0.05)] + len(bars) * [(0.02, 0.02, 1.1)],
     )
 
 
@@ -289,8 +415,14 @@ SEAT = 0.6  # metres before the end of the way on which someone sits down
 def dog(distance: float) -> Mesh:
     """A dog, 0.65 m high at the head, after ``distance`` metres: its legs swing."""
     swing = 0.5 * np.sin(2 * np.pi * distance / 0.9)
-    parts = [ellipsoid(0.36, 0.12, 0.15, at=(0, 0, 0.43)), ellipsoid(0.13, 0.07, 0.08, at=(0.45, 0, 0.6), sides=8)]
-    parts += [tube([(0.28, 0, 0.48), (0.42, 0, 0.58)], 0.07, 6), tube([(-0.34, 0, 0.48), (-0.6, 0, 0.62)], 0.025, 5)]
+    parts = [
+        ellipsoid(0.36, 0.12, 0.15, at=(0, 0, 0.43)),
+        ellipsoid(0.13, 0.07, 0.08, at=(0.45, 0, 0.6), sides=8),
+    ]
+    parts += [
+        tube([(0.28, 0, 0.48), (0.42, 0, 0.58)], 0.07, 6),
+        tube([(-0.34, 0, 0.48), (-0.6, 0, 0.62)], 0.025, 5),
+    ]
     for x, side, phase in ((0.25, 1, 1), (0.25, -1, -1), (-0.26, 1, -1), (-0.26, -1, 1)):
         foot = (x + 0.35 * np.sin(phase * swing), 0.08 * side, 0.36 * (1 - np.cos(swing)) + 0.01)
         parts.append(tube([(x, 0.08 * side, 0.38), foot], (0.05, 0.03), 6))
@@ -301,9 +433,12 @@ def trolley() -> Mesh:
     """A trolley with a wire basket; rays pass its bars."""
     bars = [(0.45 * a, y, 0.65) for a in np.linspace(-1, 1, 9) for y in (-0.28, 0.28)]
     ends = [(x, y, 0.65) for x in (-0.45, 0.45) for y in np.linspace(-0.22, 0.22, 5)]
-    basket = boxes(bars + ends + [(0, 0, 0.46)], len(bars + ends) * [(0.02, 0.02, 0.4)] + [(0.9, 0.56, 0.03)])
+    basket = boxes(
+        bars + ends + [(0, 0, 0.46)], len(bars + ends) * [(0.02, 0.02, 0.4)] + [(0.9, 0.56, 0.03)]
+    )
     rails = boxes(
-        [(0, y, 0.86) for y in (-0.28, 0.28)] + [(-0.55, 0, 0.98)], 2 * [(0.95, 0.03, 0.03)] + [(0.04, 0.6, 0.04)]
+        [(0, y, 0.86) for y in (-0.28, 0.28)] + [(-0.55, 0, 0.98)],
+        2 * [(0.95, 0.03, 0.03)] + [(0.04, 0.6, 0.04)],
     )
     legs = boxes([(x, y, 0.24) for x in (-0.35, 0.35) for y in (-0.24, 0.24)], (0.05, 0.05, 0.48))
     load = box(0.4, 0.35, 0.25, at=(0.1, 0, 0.48))
@@ -311,17 +446,22 @@ def trolley() -> Mesh:
 
 
 def door(share: float) -> Mesh:
-    """A door leaf with its hinge at the origin, closed along x (0) or opened towards y by 95 degrees (1)."""
+    """A door leaf with its hinge at the origin, closed along x (0) or opened towards y by 95
+    degrees (1).
+    """
     width, height = DOOR
     return box(width, 0.05, height, at=(width / 2, 0.03, 0.02)).moved(yaw=np.radians(95) * share)
 
 
 def sitter(distance: float, end: float, height: float) -> Mesh:
-    """Someone who walks up to the front of a bench and sits down at the end of the way, turned to the left by 90°."""
+    """Someone who walks up to the front of a bench and sits down at the end of the way, turned to
+    the left by 90°.
+    """
     share = float(np.clip((distance - end + SEAT) / SEAT, 0, 1))
     if not share:
         return person(distance, height)
-    drop, lean = 0.45 * share, share * np.pi / 2
+    drop = 0.45 * share
+    lean = share * np.pi / 2
     parts = [
         ellipsoid(0.14, 0.22, 0.33, at=(0, 0, 1.17 - drop)),
         ellipsoid(0.1, 0.09, 0.13, at=(0.02, 0, 1.62 - drop), sides=8),
@@ -330,7 +470,8 @@ def sitter(distance: float, end: float, height: float) -> Mesh:
     for side in (-0.1, 0.1):
         hip = np.array([0, side, 0.92 - drop])
         knee = hip + 0.46 * np.array([np.sin(lean), 0, -np.cos(lean)])
-        shoulder, hand = np.array([0, 2.5 * side, 1.4 - drop]), knee + np.array([-0.05, 0, 0.1])
+        shoulder = np.array([0, 2.5 * side, 1.4 - drop])
+        hand = knee + np.array([-0.05, 0, 0.1])
         parts += [tube(np.array([hip, knee, (knee[0], side, 0.03)]), (0.095, 0.07, 0.05), 6)]
         parts += [tube(np.array([shoulder, hand]), (0.06, 0.035), 6)]
     body = join(parts).scaled(height / 1.75, 1, height / 1.75)

@@ -1,4 +1,7 @@
-"""A preset with options, as written on the command line: ``street_hdl64?frames=20&seed=3&jitter_m=0.03``."""
+"""A preset with options, as written on the command line.
+
+``street_hdl64?frames=20&seed=3&jitter_m=0.03``.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,8 @@ class Chosen:
         """Read a preset with its options; ``frames`` and ``seed`` replace those of the options.
 
         Raises:
-            UsageError: for an unknown preset or option, a value that is not a number or out of range.
+            UsageError: for an unknown preset or option, a value that is not a number or out of
+                range.
         """
         name, _, query = text.partition("?")
         if name not in PRESETS:
@@ -47,7 +51,10 @@ class Chosen:
         frames = numbers["frames"] if frames is None else frames
         seed = numbers["seed"] if seed is None else seed
         if frames < 1 or seed < 0:
-            raise UsageError(f"frames {frames}, seed {seed}: invalid. Give at least one frame and a seed of at least 0")
+            raise UsageError(
+                f"frames {frames}, seed {seed}: invalid. Give at least one frame and a seed of at "
+                "least 0"
+            )
         changed = "&".join(f"{key}={value}" for key, value in values.items())
         preset = replace(preset, effects=replace(preset.effects, **values))
         return cls(preset, frames, seed, f"{name}?{changed}" if changed else name)
@@ -63,6 +70,8 @@ def _values(text: str, query: str) -> dict[str, Any]:
     """The options of a query."""
     place = f"simulate:{text}"
     return {
-        key: whole(place, key, value) if key in ("frames", "seed") else parse_value(key, value, place)
+        key: whole(place, key, value)
+        if key in ("frames", "seed")
+        else parse_value(key, value, place)
         for key, value in options_of(place, query, ("frames", "seed", *NAMES)).items()
     }

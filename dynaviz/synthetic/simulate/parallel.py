@@ -1,4 +1,6 @@
-"""Simulate a sequence in several processes, because the ray caster blocks the other threads of its own."""
+"""Simulate a sequence in several processes, because the ray caster blocks the other threads of its
+own.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ WORTH = 5_000_000  # rays per process; fewer take little longer than the start o
 
 
 def sweeps(preset: Preset, frames: int, seed: int) -> Iterator[SimulatedSweep]:
-    """Simulate the sweeps in order, on several cores if they are many; the sweeps do not depend on how many.
+    """Simulate the sweeps in order, on several cores if they are many.
+
+    The sweeps do not depend on how many.
 
     Raises:
         DynavizError: if a process dies.
@@ -32,7 +36,9 @@ def sweeps(preset: Preset, frames: int, seed: int) -> Iterator[SimulatedSweep]:
     count = max(1, min(PROCESSES, os.cpu_count() or 1, rays // WORTH))
     with contextlib.ExitStack() as stack:
         shares = [range(first, frames, count) for first in range(count)]
-        others = [stack.enter_context(_process(preset, frames, seed, share)) for share in shares[1:]]
+        others = [
+            stack.enter_context(_process(preset, frames, seed, share)) for share in shares[1:]
+        ]
         own = record_sweeps(build(preset, frames, seed), preset, frames, seed, shares[0])
         streams = [own, *(_received(other) for other in others)]
         for index in range(frames):
@@ -45,7 +51,10 @@ def _process(*share: Any) -> Iterator[subprocess.Popen[bytes]]:
     command = [sys.executable, "-P", "-m", "dynaviz.synthetic.simulate.worker"]
     # In a session of its own, so that Ctrl-C interrupts only the process that the user started.
     child = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=sys.platform != "win32"
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=sys.platform != "win32",
     )
     try:
         assert child.stdin

@@ -1,4 +1,7 @@
-"""Errors of the poses that a mapping system gives: slow errors, drift with the distance, jitter of each frame."""
+"""Errors of the poses that a mapping system gives.
+
+Slow errors, drift with the distance, jitter of each frame.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,9 @@ from dynaviz.synthetic.simulate.effects import Effects
 
 
 def slow_errors(rng: np.random.Generator, frames: int, noise: tuple[float, float]) -> F64:
-    """(frames, 4, 4) pose errors that drift like those of a SLAM system: each keeps 0.8 of the previous one.
+    """(frames, 4, 4) pose errors that drift like those of a SLAM system.
+
+    Each keeps 0.8 of the previous one.
 
     Args:
         rng: random numbers.
@@ -36,7 +41,8 @@ def transforms(shifts: F64, turns: F64) -> F64:
 def drift(rng: np.random.Generator, poses: F64, effects: Effects) -> F64:
     """(frames, 4, 4) errors that grow as those of an odometry without loop closure.
 
-    Each step of the odometry has an error whose variance grows with the length of the step; later poses inherit it.
+    Each step of the odometry has an error whose variance grows with the length of the step; later
+    poses inherit it.
 
     Args:
         rng: random numbers.
@@ -46,17 +52,24 @@ def drift(rng: np.random.Generator, poses: F64, effects: Effects) -> F64:
     noise = rng.normal(size=(len(poses), 6))
     lengths = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0, prepend=poses[:1, :3, 3]), axis=1)
     scale = np.sqrt(lengths / 100.0)[:, None]
-    steps = transforms(effects.drift_m * scale * noise[:, :3], np.radians(effects.drift_deg) * scale * noise[:, 3:])
+    steps = transforms(
+        effects.drift_m * scale * noise[:, :3], np.radians(effects.drift_deg) * scale * noise[:, 3:]
+    )
     errors = np.tile(np.eye(4), (len(poses), 1, 1))
     for k in range(1, len(poses)):
         moved = geometry.compose(geometry.inverse(poses[k - 1]), poses[k])
         errors[k] = geometry.compose(
-            geometry.compose(geometry.compose(geometry.inverse(moved), errors[k - 1]), moved), steps[k]
+            geometry.compose(geometry.compose(geometry.inverse(moved), errors[k - 1]), moved),
+            steps[k],
         )
     return errors
 
 
 def jitter(rng: np.random.Generator, frames: int, effects: Effects) -> F64:
-    """(frames, 4, 4) errors that are independent from frame to frame, as scan-to-map matching leaves them."""
+    """(frames, 4, 4) errors that are independent from frame to frame, as scan-to-map matching
+    leaves them.
+    """
     noise = rng.normal(size=(frames, 6))
-    return transforms(effects.jitter_m * noise[:, :3], np.radians(effects.jitter_deg) * noise[:, 3:])
+    return transforms(
+        effects.jitter_m * noise[:, :3], np.radians(effects.jitter_deg) * noise[:, 3:]
+    )

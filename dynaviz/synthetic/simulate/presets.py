@@ -43,7 +43,16 @@ _ALL = (
     Preset("hall_vlp16", "hall, VLP-16", "hall", "vlp16", 200, 1.0),
     Preset("square_mid360", "square with a crowd, Livox Mid-360", "square", "mid360", 200, 1.5),
     Preset("square_vlp32c", "square with a crowd, two VLP-32C", "square", "vlp32c_pair", 120, 3.0),
-    Preset("street_hdl64", "street, HDL-64E", "street", "hdl64e", 200, 9.0, traffic=0.6, pose_noise=(0.015, 0.05)),
+    Preset(
+        "street_hdl64",
+        "street, HDL-64E",
+        "street",
+        "hdl64e",
+        200,
+        9.0,
+        traffic=0.6,
+        pose_noise=(0.015, 0.05),
+    ),
     Preset("street_vlp16", "street, VLP-16", "street", "vlp16", 200, 2.5),
 )
 
@@ -73,7 +82,8 @@ REAL = Effects(
     animals=2,
     parking=2,
 )
-"""All effects but rain, as large as in real scans; ``docs/simulator.md`` gives the source of each number."""
+"""All effects but rain, as large as in real scans; ``docs/simulator.md`` gives the source of each
+number."""
 
 _SENSORS: Mapping[str, Mapping[str, Any]] = {"hdl64e": {"dropout_range": 0.005}}
 """Changes for a sensor whose scans were measured."""
@@ -83,10 +93,14 @@ def _real(preset: Preset) -> Preset:
     """The preset with the effects of real scans instead of smooth pose errors."""
     effects = replace(REAL, **_SENSORS.get(preset.sensor, {}))
     title = f"{preset.title}, with the effects of real scans"
-    return replace(preset, name=f"{preset.name}_real", title=title, pose_noise=(0.0, 0.0), effects=effects)
+    return replace(
+        preset, name=f"{preset.name}_real", title=title, pose_noise=(0.0, 0.0), effects=effects
+    )
 
 
 _WITH_EFFECTS = [_real(preset) for preset in _ALL if preset.name != "demo"]
 
-PRESETS: Mapping[str, Preset] = MappingProxyType(dict(sorted({p.name: p for p in (*_ALL, *_WITH_EFFECTS)}.items())))
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    dict(sorted({p.name: p for p in (*_ALL, *_WITH_EFFECTS)}.items()))
+)
 """All presets, sorted by name."""

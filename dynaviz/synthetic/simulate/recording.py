@@ -37,13 +37,16 @@ class SimulatedSweep:
     Attributes:
         index: number of the frame.
         time: seconds since the start.
-        points: (N, 3) float32, metres, world frame. The world frame is the true sensor pose at frame 0.
+        points: (N, 3) float32, metres, world frame. The world frame is the true sensor pose at
+            frame 0.
         intensity: (N,) float32, 0 to 1.
         lidar: (N,) uint8, number of the lidar, for sensors that merge several.
         kinds: (N,) uint16, an ``ObjectClass`` per point.
         instances: (N,) int32, the mover's instance number, 0 for static objects.
-        T_world_sensor: (4, 4) float64, metres: the pose with its error, which also transformed the points.
-        T_scene_world: (4, 4) float64, metres: pose of the world frame in the scene frame, without error.
+        T_world_sensor: (4, 4) float64, metres: the pose with its error, which also transformed the
+            points.
+        T_scene_world: (4, 4) float64, metres: pose of the world frame in the scene frame, without
+            error.
     """
 
     index: int
@@ -59,22 +62,32 @@ class SimulatedSweep:
     @property
     def labels(self) -> U8:
         """(N,) uint8, a ``Label`` per point."""
-        return np.where(self.kinds >= ObjectClass.MOVING_CAR, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
+        return np.where(self.kinds >= ObjectClass.MOVING_CAR, Label.DYNAMIC, Label.STATIC).astype(
+            np.uint8
+        )
 
 
 def build(preset: Preset, frames: int, seed: int = 0) -> SimulatedScene:
     """Build the scene of a preset, with its events spread over the number of frames."""
     duration = frames / (load_sensor(preset.sensor).rate or 10.0)
-    scene = BUILDERS[preset.scene](np.random.default_rng([seed, 0]), duration, preset.speed, preset.traffic)
+    scene = BUILDERS[preset.scene](
+        np.random.default_rng([seed, 0]), duration, preset.speed, preset.traffic
+    )
     if any(getattr(preset.effects, name) for name in BEHAVIOUR):
         populate(scene, preset.effects, np.random.default_rng([seed, 3]))
     return scene
 
 
 def record_sweeps(
-    scene: SimulatedScene, preset: Preset, frames: int, seed: int = 0, share: Iterable[int] | None = None
+    scene: SimulatedScene,
+    preset: Preset,
+    frames: int,
+    seed: int = 0,
+    share: Iterable[int] | None = None,
 ) -> Iterator[SimulatedSweep]:
-    """Simulate the sweeps in order, two at a time. Each has its own random numbers, so they do not depend on others.
+    """Simulate the sweeps in order, two at a time.
+
+    Each has its own random numbers, so they do not depend on others.
 
     Args:
         scene: the scene of the preset.
@@ -105,17 +118,24 @@ class SceneRecorder:
     """
 
     def __init__(self, scene: SimulatedScene, preset: Preset, frames: int, seed: int = 0):
-        self.scene, self.effects, self.seed = scene, preset.effects, seed
+        self.scene = scene
+        self.effects = preset.effects
+        self.seed = seed
         self.sensor = load_sensor(preset.sensor)
         self._ray_scene = RayScene(scene)
-        self._ray_scene.static.cast(np.zeros((1, 6), np.float32))  # builds the structure, before threads share it
+        # builds the structure, before threads share it
+        self._ray_scene.static.cast(np.zeros((1, 6), np.float32))
         self._T_scene_world = sensor_pose(scene, self.sensor, 0.0)
         errors = poses.slow_errors(np.random.default_rng([seed, 1]), frames, preset.pose_noise)
         if self.effects.drift_m or self.effects.drift_deg:
             true = np.stack([sensor_pose(scene, self.sensor, self._time(k)) for k in range(frames)])
-            errors = geometry.compose(poses.drift(np.random.default_rng([seed, 6]), true, self.effects), errors)
+            errors = geometry.compose(
+                poses.drift(np.random.default_rng([seed, 6]), true, self.effects), errors
+            )
         if self.effects.jitter_m or self.effects.jitter_deg:
-            errors = geometry.compose(errors, poses.jitter(np.random.default_rng([seed, 7]), frames, self.effects))
+            errors = geometry.compose(
+                errors, poses.jitter(np.random.default_rng([seed, 7]), frames, self.effects)
+            )
         self._errors = errors
 
     def _time(self, index: int) -> float:

@@ -1,4 +1,7 @@
-"""A scene: static meshes, movers, the ground and the sensor's motion; with helpers that the builders share."""
+"""A scene: static meshes, movers, the ground and the sensor's motion.
+
+With helpers that the builders share.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,10 @@ from dynaviz.synthetic.simulate.shapes import Mesh
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """A static object: mesh in the scene frame, class and reflectance from 0 to 1; glass: whether it is a pane."""
+    """A static object: mesh in the scene frame, class and reflectance from 0 to 1; glass.
+
+    Whether it is a pane.
+    """
 
     mesh: Mesh
     kind: ObjectClass
@@ -27,7 +33,9 @@ class MeshPart:
 
 @dataclass(eq=False)
 class Places:
-    """Where movers may act in a scene; no random numbers are needed to find them. Routes are in metres, scene frame.
+    """Where movers may act in a scene; no random numbers are needed to find them.
+
+    Routes are in metres, scene frame.
 
     Attributes:
         walls: along walls, whose free side is on the left.
@@ -67,22 +75,37 @@ class SimulatedScene:
     places: Places = field(default_factory=Places)
 
     def __post_init__(self) -> None:
-        """Raise UsageError if the recording is longer than the sensor's route, before anything is built."""
+        """Raise UsageError if the recording is longer than the sensor's route, before anything is
+        built.
+        """
         if self.sensor.pose(self.duration, self.height) is None:
-            raise UsageError(f"the sensor's route takes less than {self.duration:.0f} s. Give fewer frames (--frames)")
+            raise UsageError(
+                f"the sensor's route takes less than {self.duration:.0f} s. Give fewer frames "
+                "(--frames)"
+            )
 
     def add(self, mesh: Mesh, kind: ObjectClass, reflectance: float | None = None) -> None:
         """Add a static mesh in the scene frame."""
-        self.parts.append(MeshPart(mesh, kind, REFLECTANCE.get(kind, 0.4) if reflectance is None else reflectance))
+        self.parts.append(
+            MeshPart(mesh, kind, REFLECTANCE.get(kind, 0.4) if reflectance is None else reflectance)
+        )
 
     def put(
-        self, mesh: Mesh, kind: ObjectClass, x: float, y: float, yaw: float = 0, reflectance: float | None = None
+        self,
+        mesh: Mesh,
+        kind: ObjectClass,
+        x: float,
+        y: float,
+        yaw: float = 0,
+        reflectance: float | None = None,
     ) -> None:
         """Place a static mesh on the ground."""
         z = float(self.height(np.array([x]), np.array([y]))[0])
         self.add(mesh.moved(x, y, z, yaw=yaw), kind, reflectance)
         if kind == ObjectClass.CAR:
-            self.places.obstacles.append((x, y, yaw, *(np.ptp(mesh.bounds, axis=0)[:2] / 2).tolist()))
+            self.places.obstacles.append(
+                (x, y, yaw, *(np.ptp(mesh.bounds, axis=0)[:2] / 2).tolist())
+            )
 
     def tree(self, x: float, y: float, highest: float = 9.0) -> None:
         """Add a tree, at least 6.5 m high."""
@@ -90,37 +113,61 @@ class SimulatedScene:
         self.put(objects.trunk(self.rng, height), ObjectClass.TRUNK, x, y)
         self.put(objects.crown(self.rng, height), ObjectClass.VEGETATION, x, y)
 
-    def house(self, x: float, y: float, yaw: float, width: float, depth: float, storeys: int) -> None:
+    def house(
+        self, x: float, y: float, yaw: float, width: float, depth: float, storeys: int
+    ) -> None:
         """Add a house; its front is centred at x, y and faces along yaw + 90 degrees."""
         walls, panes = objects.house(self.rng, width, depth, storeys)
         self.put(walls, ObjectClass.BUILDING, x, y, yaw, self.rng.uniform(0.3, 0.7))
-        self.put(panes, ObjectClass.BUILDING, x, y, yaw, 0.06)  # glass returns little light from far away
+        # glass returns little light from far away
+        self.put(panes, ObjectClass.BUILDING, x, y, yaw, 0.06)
         self.parts[-1] = replace(self.parts[-1], glass=True)
         along = np.linspace(-width / 2, width / 2, 20)
-        self.places.walls.append(Route(np.column_stack([x + along * np.cos(yaw), y + along * np.sin(yaw)])))
+        self.places.walls.append(
+            Route(np.column_stack([x + along * np.cos(yaw), y + along * np.sin(yaw)]))
+        )
 
-    def move(self, kind: ObjectClass, path: Route, schedule: Schedule, body: Mesh | Callable[[float], Mesh]) -> None:
+    def move(
+        self,
+        kind: ObjectClass,
+        path: Route,
+        schedule: Schedule,
+        body: Mesh | Callable[[float], Mesh],
+    ) -> None:
         """Add an object that moves along a route."""
         shape = body if callable(body) else lambda _: body
         upright = kind in (ObjectClass.MOVING_PERSON, ObjectClass.MOVING_BICYCLIST)
         reflectance = self.rng.uniform(0.12, 0.7)
-        self.movers.append(Mover(kind, len(self.movers) + 1, Movement(path, schedule, upright), shape, reflectance))
+        self.movers.append(
+            Mover(kind, len(self.movers) + 1, Movement(path, schedule, upright), shape, reflectance)
+        )
 
     def walk(self, path: Route, schedule: Schedule) -> None:
         """Add a person who walks along a route."""
         height = self.rng.uniform(1.55, 1.9)
-        self.move(ObjectClass.MOVING_PERSON, path, schedule, lambda distance: objects.person(distance, height))
+        self.move(
+            ObjectClass.MOVING_PERSON,
+            path,
+            schedule,
+            lambda distance: objects.person(distance, height),
+        )
 
 
 def rolling(rng: np.random.Generator, steepness: float = 0.004) -> Callable[[F64, F64], F64]:
-    """Smooth uneven ground: waves with lengths of 6 to 90 m and amplitudes of ``steepness`` times their length."""
+    """Smooth uneven ground: waves with lengths of 6 to 90 m and amplitudes of ``steepness`` times
+    their length.
+    """
     lengths = np.array([90.0, 60.0, 35.0, 20.0, 11.0, 6.0])
     directions, phases = rng.uniform(0, 2 * np.pi, (2, len(lengths)))
 
     def height(x: F64, y: F64) -> F64:
         total = np.zeros(np.broadcast(x, y).shape)
         for length, a, phase in zip(lengths, directions, phases, strict=True):
-            total += steepness * length * np.sin(2 * np.pi / length * (x * np.cos(a) + y * np.sin(a)) + phase)
+            total += (
+                steepness
+                * length
+                * np.sin(2 * np.pi / length * (x * np.cos(a) + y * np.sin(a)) + phase)
+            )
         return total
 
     return height

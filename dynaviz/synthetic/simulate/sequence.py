@@ -1,4 +1,7 @@
-"""A simulated sequence without files; ``simulate:street_hdl64?frames=20&jitter_m=0.03`` opens one."""
+"""A simulated sequence without files.
+
+``simulate:street_hdl64?frames=20&jitter_m=0.03`` opens one.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,20 @@ from dynaviz.synthetic.simulate.recording import SceneRecorder, SimulatedSweep, 
 
 
 class SimulatedSequence:
-    """A preset whose sweeps are simulated when they are read; reading a frame twice gives the same arrays.
+    """A preset whose sweeps are simulated when they are read.
 
-    The scans are those that ``dynaviz simulate`` writes. To run several methods on the same scene, write it once.
+    Reading a frame twice gives the same arrays.
+
+    The scans are those that ``dynaviz simulate`` writes. To run several methods on the same scene,
+    write it once.
 
     Args:
         chosen: preset with its effects, number of frames and seed.
     """
 
-    layout: ClassVar[str] = "a simulated scene: simulate:street_hdl64?frames=20&seed=3&jitter_m=0.03"
+    layout: ClassVar[str] = (
+        "a simulated scene: simulate:street_hdl64?frames=20&seed=3&jitter_m=0.03"
+    )
     nested: ClassVar[bool] = True
 
     def __init__(self, chosen: Chosen) -> None:
@@ -67,11 +75,17 @@ class SimulatedSequence:
     def facts(self) -> Mapping[str, str]:
         """The effects that are switched on, for ``dynaviz info``."""
         active = self.chosen.preset.effects.active
-        return {"effects": ", ".join(f"{name} {value:g}" for name, value in active.items())} if active else {}
+        return (
+            {"effects": ", ".join(f"{name} {value:g}" for name, value in active.items())}
+            if active
+            else {}
+        )
 
     @cached_property
     def _recorder(self) -> SceneRecorder:
-        preset, frames, seed = self.chosen.preset, self.chosen.frames, self.chosen.seed
+        preset = self.chosen.preset
+        frames = self.chosen.frames
+        seed = self.chosen.seed
         return SceneRecorder(build(preset, frames, seed), preset, frames, seed)
 
     def __len__(self) -> int:
@@ -92,7 +106,10 @@ class SimulatedSequence:
         )
 
     def _origins(self, sweep: SimulatedSweep) -> F64:
-        """Origins of the rays as the pose of the frame places them: also a deskewed sweep names one pose only."""
+        """Origins of the rays as the pose of the frame places them.
+
+        Also a deskewed sweep names one pose only.
+        """
         if not self.sensor.mounts:
             return sweep.T_world_sensor[None, :3, 3]
         mounts = np.array([mount[:3] for mount in self.sensor.mounts])

@@ -1,4 +1,7 @@
-"""Triangle meshes of simple shapes. Metres; x forward, y left, z up; triangles counter-clockwise seen from outside."""
+"""Triangle meshes of simple shapes. Metres; x forward, y left, z up.
+
+Triangles counter-clockwise seen from outside.
+"""
 
 from __future__ import annotations
 
@@ -64,14 +67,19 @@ def quads(corners: ArrayLike) -> Mesh:
     """
     vertices = np.asarray(corners, np.float64).reshape(-1, 3)
     first = 4 * np.arange(len(vertices) // 4)[:, None]
-    return Mesh(vertices, np.concatenate([first + np.array(three) for three in ((0, 1, 2), (0, 2, 3))]))
+    return Mesh(
+        vertices, np.concatenate([first + np.array(three) for three in ((0, 1, 2), (0, 2, 3))])
+    )
 
 
 def grid(points: F64) -> Mesh:
     """A surface through (R, C, 3) points; it faces up if rows are along x and columns along y."""
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    a = index[:-1, :-1]
+    b = index[1:, :-1]
+    c = index[1:, 1:]
+    d = index[:-1, 1:]
     triangles = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
     return Mesh(points.reshape(-1, 3), triangles)
 
@@ -80,7 +88,8 @@ def loft(rings: ArrayLike) -> Mesh:
     """A closed body through rings.
 
     Args:
-        rings: (R, K, 3) metres; each ring convex, and counter-clockwise seen from beyond the last ring.
+        rings: (R, K, 3) metres; each ring convex, and counter-clockwise seen from beyond the last
+            ring.
     """
     points = np.asarray(rings, np.float64)
     return Mesh(points.reshape(-1, 3), _closed(*points.shape[:2]))
@@ -90,10 +99,14 @@ def loft(rings: ArrayLike) -> Mesh:
 def _closed(count: int, sides: int) -> Index:
     """The triangles of a loft."""
     index = np.arange(count * sides).reshape(count, sides)
-    a, b = index[:-1], np.roll(index[:-1], -1, axis=1)
-    d, c = index[1:], np.roll(index[1:], -1, axis=1)
+    a = index[:-1]
+    b = np.roll(index[:-1], -1, axis=1)
+    d = index[1:]
+    c = np.roll(index[1:], -1, axis=1)
     side = [np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
-    fan = np.stack([np.zeros(sides - 2, np.int64), np.arange(1, sides - 1), np.arange(2, sides)], axis=1)
+    fan = np.stack(
+        [np.zeros(sides - 2, np.int64), np.arange(1, sides - 1), np.arange(2, sides)], axis=1
+    )
     caps = [index[0][fan[:, ::-1]], index[-1][fan]]
     return np.concatenate(side + caps)
 
@@ -114,7 +127,9 @@ def box(x: float, y: float, z: float, *, at: tuple[float, float, float] = (0, 0,
     return boxes([(at[0], at[1], at[2] + z / 2)], (x, y, z))
 
 
-def ellipsoid(x: float, y: float, z: float, *, at: tuple[float, float, float] = (0, 0, 0), sides: int = 10) -> Mesh:
+def ellipsoid(
+    x: float, y: float, z: float, *, at: tuple[float, float, float] = (0, 0, 0), sides: int = 10
+) -> Mesh:
     """An ellipsoid with these semi-axes and centre ``at``."""
     polar = np.linspace(-0.98, 0.98, 7) * np.pi / 2
     around = 2 * np.pi * np.arange(sides) / sides
@@ -123,9 +138,14 @@ def ellipsoid(x: float, y: float, z: float, *, at: tuple[float, float, float] = 
 
 
 def tube(points: ArrayLike, radii: ArrayLike, sides: int = 8) -> Mesh:
-    """A round bar along (P, 3) points, with one radius or one per point: poles, trunks, limbs, rims."""
+    """A round bar along (P, 3) points, with one radius or one per point.
+
+    Poles, trunks, limbs, rims.
+    """
     points = np.asarray(points, np.float64)
-    tangents = np.concatenate([points[1:2] - points[:1], (points[2:] - points[:-2]) / 2, points[-1:] - points[-2:-1]])
+    tangents = np.concatenate(
+        [points[1:2] - points[:1], (points[2:] - points[:-2]) / 2, points[-1:] - points[-2:-1]]
+    )
     tangents /= np.sqrt((tangents * tangents).sum(1, keepdims=True))
     helper = np.where(np.abs(tangents[:, 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
     u = _cross(helper, tangents)
@@ -137,13 +157,20 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int = 8) -> Mesh:
 
 
 def _cross(a: F64, b: F64) -> F64:
-    """The cross product of (P, 3) vectors; for few vectors much faster than numpy's, with the same bits."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    """The cross product of (P, 3) vectors.
+
+    For few vectors much faster than numpy's, with the same bits.
+    """
+    (ax, ay, az) = a.T
+    (bx, by, bz) = b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def layers(profile: Iterable[tuple[float, float, float, float]]) -> Mesh:
-    """A body of stacked rectangles with cut corners: (z, rear x, front x, half width), from bottom to top."""
+    """A body of stacked rectangles with cut corners.
+
+    (z, rear x, front x, half width), from bottom to top.
+    """
     return loft([_rounded(rear, front, half, z) for z, rear, front, half in profile])
 
 
@@ -154,6 +181,9 @@ def _rounded(rear: float, front: float, half: float, z: float) -> F64:
 
 
 def leaves(centres: F64, size: float, rng: np.random.Generator) -> Mesh:
-    """Single randomly oriented triangles of about this size (metres) at (N, 3) centres; rays pass between them."""
+    """Single randomly oriented triangles of about this size (metres) at (N, 3) centres.
+
+    Rays pass between them.
+    """
     corners = centres[:, None] + rng.normal(0, size / 2, (len(centres), 3, 3))
     return Mesh(corners.reshape(-1, 3), np.arange(3 * len(centres)).reshape(-1, 3))

@@ -1,4 +1,7 @@
-"""A city square with a crowd: houses on three sides, a street with traffic on the fourth, trees, kiosks, fountain."""
+"""A city square with a crowd.
+
+Houses on three sides, a street with traffic on the fourth, trees, kiosks, fountain.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,11 @@ FOUNTAIN = (-3.0, 2.0)
 GATE = 26.0  # x of the exit for vehicles, metres
 
 
-def square(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> SimulatedScene:
-    """Build a square; the sensor stands for a third of the time and then drives across it in a curve.
+def square(
+    rng: np.random.Generator, duration: float, speed: float, traffic: float
+) -> SimulatedScene:
+    """Build a square; the sensor stands for a third of the time and then drives across it in a
+    curve.
 
     Args:
         rng: random numbers for the whole scene.
@@ -27,9 +33,22 @@ def square(rng: np.random.Generator, duration: float, speed: float, traffic: flo
         traffic: relative number of movers; 1 is normal.
     """
     route = Route(
-        [(-14, -14), (-2, -13), (10, -12), (14, 2), (8, 15), (-8, 16), (-20, 15), (-21, 0), (-20, -20)], rounds=4
+        [
+            (-14, -14),
+            (-2, -13),
+            (10, -12),
+            (14, 2),
+            (8, 15),
+            (-8, 16),
+            (-20, 15),
+            (-21, 0),
+            (-20, -20),
+        ],
+        rounds=4,
     )
-    scene = SimulatedScene(rng, duration, rolling(rng, 0.002), Movement(route, depart(2.0, speed, duration / 3, 1.0)))
+    scene = SimulatedScene(
+        rng, duration, rolling(rng, 0.002), Movement(route, depart(2.0, speed, duration / 3, 1.0))
+    )
     _ground(scene)
     _houses(scene)
     _furniture(scene)
@@ -40,17 +59,35 @@ def square(rng: np.random.Generator, duration: float, speed: float, traffic: flo
 
 
 def _places(scene: SimulatedScene) -> None:
-    """Where further movers may act: ways across the square, lanes, and gaps in the row of parked cars."""
-    ends = [((-26, -8), (26, -10)), ((-24, 12), (24, 9)), ((-18, -22), (18, 22)), ((-22, 20), (22, -18))]
+    """Where further movers may act.
+
+    Ways across the square, lanes, and gaps in the row of parked cars.
+    """
+    ends = [
+        ((-26, -8), (26, -10)),
+        ((-24, 12), (24, 9)),
+        ((-18, -22), (18, 22)),
+        ((-22, 20), (22, -18)),
+    ]
     scene.places.walkways += [Route(np.linspace(a, b, 60)) for a, b in ends]
     scene.places.walkways += [way.reversed() for way in scene.places.walkways]
     scene.places.lanes += [Route([(88, LANES[1]), (-88, LANES[1])])]
     bay = -HALF - 7.9
     for x in np.arange(-45, 46, 1.5):
         way = Route(
-            [(88, LANES[1]), (x + 10, LANES[1]), (x + 4, bay), (x - 4, bay), (x - 10, LANES[1]), (-88, LANES[1])], 4
+            [
+                (88, LANES[1]),
+                (x + 10, LANES[1]),
+                (x + 4, bay),
+                (x - 4, bay),
+                (x - 10, LANES[1]),
+                (-88, LANES[1]),
+            ],
+            4,
         )
-        scene.places.bays.append((way, float(way.distance[np.argmin(np.hypot(*(way.xy - (x, bay)).T))])))
+        scene.places.bays.append(
+            (way, float(way.distance[np.argmin(np.hypot(*(way.xy - (x, bay)).T))]))
+        )
 
 
 def _ground(scene: SimulatedScene) -> None:
@@ -60,7 +97,9 @@ def _ground(scene: SimulatedScene) -> None:
         (ObjectClass.TERRAIN, -HALF - 60, -HALF - 9, 3.0),
     ):
         x, y = np.meshgrid(
-            np.arange(-90, 90.1, 1.5), np.linspace(low, high, round((high - low) / step) + 1), indexing="ij"
+            np.arange(-90, 90.1, 1.5),
+            np.linspace(low, high, round((high - low) / step) + 1),
+            indexing="ij",
         )
         scene.add(grid(np.stack([x, y, scene.height(x, y)], -1)), kind)
 
@@ -80,10 +119,20 @@ def _houses(scene: SimulatedScene) -> None:
 
 def _furniture(scene: SimulatedScene) -> None:
     basin = tube([(0, 0, -0.2), (0, 0, 0.6)], 3.0, 20)
-    scene.put(join([basin, tube([(0, 0, 0), (0, 0, 2.2)], (0.5, 0.25), 10)]), ObjectClass.OTHER_STRUCTURE, *FOUNTAIN)
+    scene.put(
+        join([basin, tube([(0, 0, 0), (0, 0, 2.2)], (0.5, 0.25), 10)]),
+        ObjectClass.OTHER_STRUCTURE,
+        *FOUNTAIN,
+    )
     for x, y in ((-26.0, 5.0), (24.0, 20.0)):
         roof = box(4.4, 3.6, 0.15, at=(0, 0, 2.7))
-        scene.put(join([box(3.4, 2.6, 2.7), roof]), ObjectClass.OTHER_STRUCTURE, x, y, scene.rng.uniform(0, np.pi))
+        scene.put(
+            join([box(3.4, 2.6, 2.7), roof]),
+            ObjectClass.OTHER_STRUCTURE,
+            x,
+            y,
+            scene.rng.uniform(0, np.pi),
+        )
     for count, x in enumerate(np.arange(-30, 25, 7.5)):
         scene.tree(x + 3, 27.5 + scene.rng.uniform(-1, 1))
         if x < GATE - 7:
@@ -100,11 +149,21 @@ def _furniture(scene: SimulatedScene) -> None:
         scene.put(objects.bicycle(), ObjectClass.PARKED_BICYCLE, x, -29.8, np.pi / 2)
     for x in np.arange(-60, 61, 6.5):
         if scene.rng.random() < 0.6:
-            scene.put(objects.car(scene.rng), ObjectClass.CAR, x, -HALF - 7.9, 0, scene.rng.uniform(0.1, 0.7))
+            scene.put(
+                objects.car(scene.rng),
+                ObjectClass.CAR,
+                x,
+                -HALF - 7.9,
+                0,
+                scene.rng.uniform(0.1, 0.7),
+            )
 
 
 def _crowd(scene: SimulatedScene, traffic: float) -> None:
-    """People across the square in all directions and along the house fronts; some stand at first; cyclists."""
+    """People across the square in all directions and along the house fronts; some stand at first.
+
+    Cyclists.
+    """
     for count in range(round(28 * traffic)):
         pace = scene.rng.uniform(0.9, 1.6)
         stands = scene.duration * scene.rng.uniform(0.3, 0.7) if count % 5 == 1 else None
@@ -139,7 +198,9 @@ def _walk(rng: np.random.Generator, close_to_wall: bool) -> Route:
         corners: F64 = np.array([(-gap, -inside), (-gap, gap), (gap, gap), (gap, -inside)])
     else:
         way = rng.uniform(0, 2 * np.pi)
-        ends = inside * np.array([(np.cos(way), np.sin(way)), (np.cos(way + 2.6), np.sin(way + 2.6))])
+        ends = inside * np.array(
+            [(np.cos(way), np.sin(way)), (np.cos(way + 2.6), np.sin(way + 2.6))]
+        )
         corners = np.array([ends[0], rng.uniform(-14, 14, 2), ends[1]])
     path = Route(corners, rounds=4)
     if np.hypot(*(path.xy - FOUNTAIN).T).min() < 4.0:
@@ -162,5 +223,9 @@ def _traffic(scene: SimulatedScene, traffic: float) -> None:
             schedule,
             objects.truck(scene.rng) if lorry else objects.car(scene.rng),
         )
-    out = Route([(27, 3), (27, -8), (GATE, -24), (GATE, LANES[0]), (40, LANES[0]), (88, LANES[0])], rounds=4)
-    scene.move(ObjectClass.MOVING_CAR, out, depart(5, 4.0, 0.4 * scene.duration), objects.car(scene.rng))
+    out = Route(
+        [(27, 3), (27, -8), (GATE, -24), (GATE, LANES[0]), (40, LANES[0]), (88, LANES[0])], rounds=4
+    )
+    scene.move(
+        ObjectClass.MOVING_CAR, out, depart(5, 4.0, 0.4 * scene.duration), objects.car(scene.rng)
+    )

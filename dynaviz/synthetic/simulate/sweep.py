@@ -16,7 +16,8 @@ from dynaviz.synthetic.simulate.shapes import Mesh
 TICKS = 256  # poses of the sensor per sweep: at 10 m/s and 10 Hz it moves 4 mm between two
 KNOTS = 9  # of these, evenly spaced, the others follow by linear interpolation
 SECTORS = 360  # of azimuth
-WIDEST = 0.03  # radians of azimuth between the rays of one beam: 10 mrad up to an elevation of 70 degrees
+# radians of azimuth between the rays of one beam: 10 mrad up to an elevation of 70 degrees
+WIDEST = 0.03
 HEIGHT = 1.5  # metres above the ground, of a sensor whose file does not state it
 SLICES = 16  # places of the movers per sweep: at 10 m/s and 10 Hz they move 6 cm between two
 
@@ -40,11 +41,16 @@ class TimedRays:
 
     def continued(self, distance: F64, directions: F64) -> TimedRays:
         """Rays that start after (N,) metres along these, into other directions."""
-        return TimedRays(self.origins + self.directions * distance[:, None], directions, self.slices)
+        return TimedRays(
+            self.origins + self.directions * distance[:, None], directions, self.slices
+        )
 
 
 def ray_shares(rays: Rays) -> F64:
-    """(N,) float64, 0 to 1: when during the sweep each ray is fired; every lidar fires its rays in order."""
+    """(N,) float64, 0 to 1: when during the sweep each ray is fired.
+
+    Every lidar fires its rays in order.
+    """
     shares = np.empty(len(rays.lidar))
     for number in np.unique(rays.lidar):
         own = np.flatnonzero(rays.lidar == number)
@@ -59,8 +65,9 @@ class MovingSweep:
         ray_scene: the scene prepared for ray casting.
         time: middle of the sweep, seconds.
         duration: of the sweep, seconds; 0 freezes the scene.
-        rays: the rays of the sensor. ``cast`` accepts these, other rays of the same beams, and rays that continue them
-            after a reflection from the ground: time slices in which none of them can meet a mover are left out.
+        rays: the rays of the sensor. ``cast`` accepts these, other rays of the same beams, and rays
+            that continue them after a reflection from the ground: time slices in which none of them
+            can meet a mover are left out.
     """
 
     def __init__(self, ray_scene: RayScene, time: float, duration: float, rays: TimedRays):
@@ -85,7 +92,10 @@ class MovingSweep:
 
 
 def time_slices(shares: F64, duration: float) -> I64:
-    """(N,) int64: the time slice of each ray by its share of the sweep; 0 if the scene is frozen."""
+    """(N,) int64: the time slice of each ray by its share of the sweep.
+
+    0 if the scene is frozen.
+    """
     count = SLICES if duration else 1
     slices: I64 = np.minimum((shares * count).astype(np.int64), count - 1)
     return slices
@@ -94,8 +104,11 @@ def time_slices(shares: F64, duration: float) -> I64:
 def _slices(
     scene: SimulatedScene, middle: float, duration: float, rays: TimedRays, bodies: Bodies
 ) -> list[Surfaces | None]:
-    """The movers in each time slice, on a line between their places at the ends, in the posture of the middle."""
-    count, times = SLICES if duration else 1, [middle + side * duration / 2 for side in (0, -1, 1)]
+    """The movers in each time slice, on a line between their places at the ends, in the posture of
+    the middle.
+    """
+    count = SLICES if duration else 1
+    times = [middle + side * duration / 2 for side in (0, -1, 1)]
     sight = _Sight.of(rays, count)
     present: list[tuple[Mover, Mesh, F64]] = []
     met = np.zeros(count, np.bool_)
@@ -106,10 +119,14 @@ def _slices(
             first, last = (body.transformed(now if T is None else T) for T in ends)
             present.append((mover, first, last.vertices - first.vertices))
             met |= sight.may_meet(np.concatenate([first.bounds, last.bounds])[:, :2])
-    owners, shares = [mover for mover, _, _ in present], (np.arange(count) + 0.5) / count
-    # Every slice contains all movers: of two surfaces at the same range, their structure decides which one is hit.
+    owners = [mover for mover, _, _ in present]
+    shares = (np.arange(count) + 0.5) / count
+    # Every slice contains all movers: of two surfaces at the same range, their structure decides
+    # which one is hit.
     return [
-        Surfaces(owners, [Mesh(m.vertices + u * way, m.triangles) for _, m, way in present]) if meets else None
+        Surfaces(owners, [Mesh(m.vertices + u * way, m.triangles) for _, m, way in present])
+        if meets
+        else None
         for u, meets in zip(shares, met, strict=True)
     ]
 
@@ -121,7 +138,8 @@ class _Sight:
     Attributes:
         origins: (S, 2) float64, metres: mean origin of the rays of each slice.
         spread: (S,) float64, metres from it to the farthest origin.
-        seen: (S, SECTORS) bool: whether a slice has rays in a sector of azimuth; the first starts at -pi.
+        seen: (S, SECTORS) bool: whether a slice has rays in a sector of azimuth; the first starts
+            at -pi.
     """
 
     origins: F64
@@ -135,20 +153,32 @@ class _Sight:
         seen[rays.slices, _sector(azimuth) % SECTORS] = True
         number = np.maximum(np.bincount(rays.slices, minlength=count), 1)
         x, y = rays.origins[:, :2].T
-        origins = np.stack([np.bincount(rays.slices, each, count) / number for each in (x, y)], axis=1)
+        origins = np.stack(
+            [np.bincount(rays.slices, each, count) / number for each in (x, y)], axis=1
+        )
         spread = np.zeros(count)
-        np.maximum.at(spread, rays.slices, np.hypot(x - origins[rays.slices, 0], y - origins[rays.slices, 1]))
+        np.maximum.at(
+            spread, rays.slices, np.hypot(x - origins[rays.slices, 0], y - origins[rays.slices, 1])
+        )
         return cls(origins, spread, seen)
 
     def may_meet(self, corners: F64) -> Bool:
-        """(S,) bool: the slices with rays that may meet what lies between (K, 2) corners, metres."""
-        low, high = corners.min(0), corners.max(0)
+        """(S,) bool: the slices with rays that may meet what lies between (K, 2)
+        corners, metres.
+        """
+        low = corners.min(0)
+        high = corners.max(0)
         x, y = ((low + high) / 2 - self.origins).T
-        radius, away = float(np.hypot(*(high - low))) / 2 + self.spread, np.hypot(x, y)
-        half = np.where(away > radius, np.arcsin(np.minimum(radius / np.maximum(away, 1e-9), 1)) + WIDEST, np.pi)
-        first, last = _sector(np.arctan2(y, x) - half), _sector(np.arctan2(y, x) + half)
+        radius = float(np.hypot(*(high - low))) / 2 + self.spread
+        away = np.hypot(x, y)
+        half = np.where(
+            away > radius, np.arcsin(np.minimum(radius / np.maximum(away, 1e-9), 1)) + WIDEST, np.pi
+        )
+        first = _sector(np.arctan2(y, x) - half)
+        last = _sector(np.arctan2(y, x) + half)
         meets = [
-            self.seen[k, np.arange(a, b + 1) % SECTORS].any() for k, (a, b) in enumerate(zip(first, last, strict=True))
+            self.seen[k, np.arange(a, b + 1) % SECTORS].any()
+            for k, (a, b) in enumerate(zip(first, last, strict=True))
         ]
         return np.array(meets)
 
@@ -166,7 +196,9 @@ def _body(mover: Mover, distance: float, bodies: Bodies) -> Mesh:
     return known[1]
 
 
-def sensor_poses(scene: SimulatedScene, sensor: Sensor, time: float, duration: float, shares: F64) -> tuple[F64, I64]:
+def sensor_poses(
+    scene: SimulatedScene, sensor: Sensor, time: float, duration: float, shares: F64
+) -> tuple[F64, I64]:
     """Poses of the sensor during a sweep.
 
     Args:
@@ -181,11 +213,17 @@ def sensor_poses(scene: SimulatedScene, sensor: Sensor, time: float, duration: f
     """
     if not duration:
         return sensor_pose(scene, sensor, time)[None], np.zeros(len(shares), np.int64)
-    knots = np.stack([sensor_pose(scene, sensor, float(t)) for t in time + duration * np.linspace(-0.5, 0.5, KNOTS)])
+    knots = np.stack(
+        [
+            sensor_pose(scene, sensor, float(t))
+            for t in time + duration * np.linspace(-0.5, 0.5, KNOTS)
+        ]
+    )
     at = (np.arange(TICKS) + 0.5) / TICKS * (KNOTS - 1)
     before = at.astype(np.int64)
     share = (at - before)[:, None, None]
-    poses: F64 = (1 - share) * knots[before] + share * knots[before + 1]  # turns of less than a milliradian
+    # turns of less than a milliradian
+    poses: F64 = (1 - share) * knots[before] + share * knots[before + 1]
     return poses, (shares * TICKS).astype(np.int64)
 
 
@@ -199,7 +237,8 @@ def sensor_pose(scene: SimulatedScene, sensor: Sensor, time: float) -> F64:
 
 def by_tick(poses: F64, ticks: I64, points: F64, *, turn_only: bool = False) -> F64:
     """Transform (N, 3) points by the pose of each one's tick, one coordinate at a time."""
-    out, (x, y, z) = np.empty((len(points), 3)), np.ascontiguousarray(points.T)
+    out = np.empty((len(points), 3))
+    (x, y, z) = np.ascontiguousarray(points.T)
     rows = np.ascontiguousarray(poses[:, :3].transpose(1, 2, 0))
     for axis in range(3):
         a, b, c = (rows[axis, column].take(ticks) for column in range(3))

@@ -22,24 +22,32 @@ def simulate(
     seed: int | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Write a simulated sequence: scans in the world frame, one labelled cloud of all scans, and ``sequence.toml``.
+    """Write a simulated sequence.
 
-    The same preset, frames and seed give the same bytes. The folder is written completely or not at all.
+    Scans in the world frame, one labelled cloud of all scans, and ``sequence.toml``.
+
+    The same preset, frames and seed give the same bytes. The folder is written completely or not at
+    all.
 
     Args:
-        preset: a name in ``PRESETS``, with options if needed: ``street_hdl64?jitter_m=0.03&brushing=6``.
+        preset: a name in ``PRESETS``, with options if needed:
+            ``street_hdl64?jitter_m=0.03&brushing=6``.
         out: folder to create; it must not exist yet.
         frames: number of sweeps; None for that of the options or the preset's default.
-        seed: random seed; each seed gives another scene of the same kind. None for that of the options, or 0.
+        seed: random seed; each seed gives another scene of the same kind. None for that of the
+            options, or 0.
         progress: called with the number of finished sweeps and the total.
 
     Raises:
-        UsageError: for an unknown preset or option, a negative seed, or a number of frames below 1 or beyond the
-            sensor's route.
+        UsageError: for an unknown preset or option, a negative seed, or a number of frames below 1
+            or beyond the sensor's route.
         DataError: if ``out`` exists or cannot be written.
     """
-    chosen, out = Chosen.parse(preset, frames, seed), Path(out)
-    preset_, frames, seed = chosen.preset, chosen.frames, chosen.seed
+    chosen = Chosen.parse(preset, frames, seed)
+    out = Path(out)
+    preset_ = chosen.preset
+    frames = chosen.frames
+    seed = chosen.seed
     merged = bool(load_sensor(preset_.sensor).mounts)
     with BenchmarkWriter(out) as writer:
         for sweep in sweeps(preset_, frames, seed):
@@ -50,6 +58,8 @@ def simulate(
         facts: dict[str, Any] = {"name": out.name, "title": preset_.title, "preset": preset_.name}
         facts |= {"sensor": preset_.sensor, "seed": seed, "frames": frames}
         facts |= {"rate": load_sensor(preset_.sensor).rate, "generator": VERSION}
-        names = {k: name for k, name in CLASS_NAMES.items() if chosen.effects or k not in BY_EFFECTS}
+        names = {
+            k: name for k, name in CLASS_NAMES.items() if chosen.effects or k not in BY_EFFECTS
+        }
         writer.describe(facts | chosen.effects, names)
     return out

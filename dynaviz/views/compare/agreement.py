@@ -1,4 +1,7 @@
-"""Points of a comparison: coloured by which run is right, and labelled with both answers and their reasons."""
+"""Points of a comparison.
+
+Coloured by which run is right, and labelled with both answers and their reasons.
+"""
 
 from __future__ import annotations
 
@@ -70,10 +73,15 @@ class AgreementLegend:
 
     def entries(self) -> list[classes.Entry]:
         """The entries of all ids assigned so far."""
-        return [(right, text, self._colours[right]) for right, text in self._plain.items()] + self._labels
+        return [
+            (right, text, self._colours[right]) for right, text in self._plain.items()
+        ] + self._labels
 
     def ids(self, right: U8, outcomes: tuple[U8, U8], reasons: tuple[U8, U8]) -> U16:
-        """(N,) uint16 class ids of (N,) points: which run is right, and the outcome and reason code in each run."""
+        """(N,) uint16 class ids of (N,) points.
+
+        Which run is right, and the outcome and reason code in each run.
+        """
         code = right.astype(np.int64)
         for outcome, reason in zip(outcomes, reasons, strict=True):
             code = (code * _OUTCOMES + outcome) * _REASONS + reason
@@ -98,20 +106,29 @@ def _answer(outcome: int, code: int, legend: Sequence[Reason]) -> str:
     return f"{word}: {classes.plain(legend[code])}" if code < len(legend) else word
 
 
-def agreed_points(first: RunRecording, second: RunRecording, legend: AgreementLegend) -> Iterator[AgreedPoints]:
+def agreed_points(
+    first: RunRecording, second: RunRecording, legend: AgreementLegend
+) -> Iterator[AgreedPoints]:
     """The drawn points of each frame, with their class ids."""
     rows = zip(first.answers(), second.answers(), first.drawn(), second.drawn(), strict=True)
     for a, b, drawn_a, drawn_b in rows:
         points, at = _drawn_in_either(a, drawn_a, drawn_b)
         truth = a.truth[points]
         right = agreement(truth, a.dynamic[points], b.dynamic[points])
-        ids = legend.ids(right, (a.outcome[points], b.outcome[points]), (a.reasons[points], b.reasons[points]))
+        ids = legend.ids(
+            right, (a.outcome[points], b.outcome[points]), (a.reasons[points], b.reasons[points])
+        )
         xyz = np.concatenate([drawn_a.xyz, drawn_b.xyz])[at]
         yield AgreedPoints(a.frame, xyz, right, ids, truth == Label.DYNAMIC)
 
 
-def _drawn_in_either(a: FrameAnswers, drawn_a: DrawnPoints, drawn_b: DrawnPoints) -> tuple[np.ndarray, np.ndarray]:
-    """Labelled points drawn in either recording: positions in the scan, and in both drawings put together."""
+def _drawn_in_either(
+    a: FrameAnswers, drawn_a: DrawnPoints, drawn_b: DrawnPoints
+) -> tuple[np.ndarray, np.ndarray]:
+    """Labelled points drawn in either recording.
+
+    Positions in the scan, and in both drawings put together.
+    """
     points, at = np.unique(np.concatenate([drawn_a.point, drawn_b.point]), return_index=True)
     labelled = a.truth[points] != Label.UNLABELLED
     return points[labelled], at[labelled]

@@ -1,4 +1,7 @@
-"""Compare recordings of the same points: open and check them, count agreement, and write a merged recording."""
+"""Compare recordings of the same points.
+
+Open and check them, count agreement, and write a merged recording.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,14 @@ from dynaviz.scores.comparison.counts import (
     count_agreement,
     spatial_gains,
 )
-from dynaviz.scores.comparison.pair import ComparedRun, PairComparison, ReasonNames, Scores, compare_pair, run_scores
+from dynaviz.scores.comparison.pair import (
+    ComparedRun,
+    PairComparison,
+    ReasonNames,
+    Scores,
+    compare_pair,
+    run_scores,
+)
 from dynaviz.scores.comparison.settings import names
 from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.result import Result
@@ -32,7 +42,8 @@ class Compared:
     """Runs on the same points, compared from their recordings; the data set is not needed.
 
     Args:
-        recordings: two or more, at most one for each of ``LETTERS``; each is compared with the first.
+        recordings: two or more, at most one for each of ``LETTERS``; each is compared with the
+            first.
         out: where a recording will be written that shows them side by side; None if none will.
         progress: called with a phase, the number of recordings done, and their total number.
 
@@ -41,8 +52,8 @@ class Compared:
 
     Raises:
         UsageError: for fewer than two recordings, too many, or an ``out`` that is one of them.
-        DataError: for a recording that cannot be read, of an unfinished run, without ground truth, or of other points
-            than the first.
+        DataError: for a recording that cannot be read, of an unfinished run, without ground truth,
+            or of other points than the first.
     """
 
     def __init__(
@@ -55,14 +66,18 @@ class Compared:
         results = [_result(recording) for recording in opened]
         unscored = _leave_out_unanswered(opened, results)
         self._counts = counts = _count(opened, progress)
-        self._out, self._total = out, counts[0].points.sum(1)
+        self._out = out
+        self._total = counts[0].points.sum(1)
         self._places = places = _cells(opened, progress)
         pairs = []
         for i in range(1, len(opened)):
             gains = spatial_gains(places[0][0], places[i][0], self._total) if places else None
             pairs.append(_pair(i, opened, results, counts[i - 1], gains))
         labels = names(results, [recording.path for recording in opened])
-        runs = [_run(i, name, opened[i], results[i], _scores(counts, i)) for i, name in enumerate(labels)]
+        runs = [
+            _run(i, name, opened[i], results[i], _scores(counts, i))
+            for i, name in enumerate(labels)
+        ]
         self.comparison = Comparison(results[0].sequence, tuple(runs), tuple(pairs), unscored)
 
     def write(self, progress: Progress = silent) -> None:
@@ -70,14 +85,24 @@ class Compared:
         if self._out is not None:
             from dynaviz.views.compare import merge
 
-            places, total = self._places, self._total
-            fine: list[SpatialGains] = [spatial_gains(places[0][1], other[1], total) for other in places[1:]]
-            merge.write(Path(self._out), self._opened, self.comparison, self._counts, fine, progress)
+            places = self._places
+            total = self._total
+            fine: list[SpatialGains] = [
+                spatial_gains(places[0][1], other[1], total) for other in places[1:]
+            ]
+            merge.write(
+                Path(self._out), self._opened, self.comparison, self._counts, fine, progress
+            )
 
 
-def _open(paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str] | None) -> list[RunRecording]:
+def _open(
+    paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str] | None
+) -> list[RunRecording]:
     if not 2 <= len(paths) <= len(LETTERS):
-        raise UsageError(f"{len(paths)} recording(s) given: compare takes 2 to {len(LETTERS)} of the same sequence")
+        raise UsageError(
+            f"{len(paths)} recording(s) given: compare takes 2 to {len(LETTERS)} of the same "
+            "sequence"
+        )
     if out is not None and any(Path(out).resolve() == Path(path).resolve() for path in paths):
         raise UsageError(f"-o {out} is one of the recordings to compare. Choose another name")
     opened = [RunRecording(path) for path in paths]
@@ -88,8 +113,13 @@ def _open(paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str] |
             hint = "Run it again" + (f" with: {p['command']}" if p.get("command") else "")
             raise DataError(recording.path, "contains an unfinished run", hint=hint)
         if p["digest"] != first["digest"]:
-            problem = f"is from a different sequence than {opened[0].path}: {_data(p)} instead of {_data(first)}"
-            raise DataError(recording.path, problem, hint="Run both on the same sequence and --frames")
+            problem = (
+                f"is from a different sequence than {opened[0].path}: {_data(p)} instead of "
+                f"{_data(first)}"
+            )
+            raise DataError(
+                recording.path, problem, hint="Run both on the same sequence and --frames"
+            )
     return opened
 
 
@@ -103,9 +133,18 @@ def _result(recording: RunRecording) -> Result:
     return recording.result
 
 
-def _leave_out_unanswered(opened: Sequence[RunRecording], results: Sequence[Result]) -> tuple[int, ...]:
-    """Leave out the frames that a run has no answer for, so that all runs are scored on the same points."""
-    unanswered = {frame for result in results if (s := result.sections.source) for frame in s.unanswered_frames}
+def _leave_out_unanswered(
+    opened: Sequence[RunRecording], results: Sequence[Result]
+) -> tuple[int, ...]:
+    """Leave out the frames that a run has no answer for, so that all runs are scored on the same
+    points.
+    """
+    unanswered = {
+        frame
+        for result in results
+        if (s := result.sections.source)
+        for frame in s.unanswered_frames
+    }
     for recording in opened:
         recording.leave_out(unanswered)
     return tuple(sorted(unanswered))
@@ -124,13 +163,19 @@ def _count(opened: Sequence[RunRecording], progress: Progress) -> list[Agreement
     return counts
 
 
-def _cells(opened: Sequence[RunRecording], progress: Progress) -> list[tuple[SpatialCells, SpatialCells]]:
-    """Wrong points of each run by place, and by the smaller cells that are drawn; empty without coordinates."""
+def _cells(
+    opened: Sequence[RunRecording], progress: Progress
+) -> list[tuple[SpatialCells, SpatialCells]]:
+    """Wrong points of each run by place, and by the smaller cells that are drawn.
+
+    Empty without coordinates.
+    """
     if any(recording.properties["mode"] == "scores" for recording in opened):
         return []
     cells = []
     for done, recording in enumerate(opened, 1):
-        coarse, fine = SpatialCells(), SpatialCells(FINE)
+        coarse = SpatialCells()
+        fine = SpatialCells(FINE)
         for drawn in recording.drawn():
             coarse.add(drawn.frame, drawn.xyz, drawn.outcome, drawn.stands_for)
             fine.add(drawn.frame, drawn.xyz, drawn.outcome, drawn.stands_for)
@@ -146,7 +191,8 @@ def _pair(
     counts: AgreementCounts,
     gains: SpatialGains | None,
 ) -> PairComparison:
-    first, second = opened[0], opened[i]
+    first = opened[0]
+    second = opened[i]
     return compare_pair(
         (LETTERS[0], LETTERS[i]),
         (results[0], results[i]),

@@ -1,4 +1,7 @@
-"""The layout of a comparison: runs side by side, agreement, overlaid curves; and the names of its entities."""
+"""The layout of a comparison: runs side by side, agreement, overlaid curves.
+
+And the names of its entities.
+"""
 
 from __future__ import annotations
 
@@ -16,21 +19,28 @@ from dynaviz.views.layout import blueprint, follow, solid, with_key
 COMPARE = "compare"  # the legend of agreement
 GROUND = "compare/ground"  # static: the first run's map, darker
 SCAN = "compare/scan"  # the frame's points by agreement
-WHERE = "compare/where"  # static: cells of the whole run in the colour of the better run; area = gain
+WHERE = (
+    "compare/where"  # static: cells of the whole run in the colour of the better run; area = gain
+)
 PLACES = "compare/places"  # static: the places in the report, numbered
-GAIN = "compare/gain"  # curves: the gain of each frame, or in each case, above 0 if the second run is better
+# curves: the gain of each frame, or in each case, above 0 if the second run is better
+GAIN = "compare/gain"
 CHANGED = "compare/changed_frames"  # marks on these curves
 DISTANCE = "compare/error_distance"  # static: histograms of all runs, bars next to each other
 REPORT = "compare/report"  # Markdown
 
-CASE_BOX = "compare/case/box"  # on the timeline of cases: where one run is right and the other wrong
+CASE_BOX = (
+    "compare/case/box"  # on the timeline of cases: where one run is right and the other wrong
+)
 CASE_AROUND = "compare/case/around"  # a circle around it, which the eye tracks
 CASE_TEXT = "compare/case_text"
 CASE_KEY = "case_key"  # of each run: what the colours of that state mean
 CASE_STATES = "world/case"  # of each run: the state that shows most of the case
 
 SIDES = "abcdefgh"  # roots of the runs
-COLOURS: tuple[tuple[str, Colour], ...] = (  # of the runs, on white and on black; none is the colour of an outcome
+COLOURS: tuple[
+    tuple[str, Colour], ...
+] = (  # of the runs, on white and on black; none is the colour of an outcome
     ("green", (45, 165, 85)),
     ("purple", (180, 75, 225)),
     ("teal", (0, 140, 150)),
@@ -46,21 +56,30 @@ ABREAST = 4  # runs whose map and frame are both visible; with more, they share 
 def two(names: Sequence[str], places: F64 | None, first: F32 | None = None) -> rrb.Blueprint:
     """The layout for two runs.
 
-    Top left: which run is better where, and agreement in the frame. Bottom left: the frame of each run. Right: the
-    report, curves and histograms.
+    Top left: which run is better where, and agreement in the frame. Bottom left: the frame of each
+    run. Right: the report, curves and histograms.
 
     Args:
         names: of the runs.
         places: (N, 3) metres, world frame: points to look at; None if nothing is drawn.
-        first: (1, P, 3) metres: the circle around the first case, at which the recording opens; None without cases.
+        first: (1, P, 3) metres: the circle around the first case, at which the recording opens;
+            None without cases.
     """
-    gain = f"gain per {'frame' if first is None else 'case or frame'}: above 0 {names[1]} is better, below 0 {names[0]}"
+    gain = (
+        f"gain per {'frame' if first is None else 'case or frame'}: above 0 {names[1]} is better, "
+        f"below 0 {names[0]}"
+    )
     numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
     if places is None:
         return blueprint(_column(numbers))
     which = "right in this frame: green A, purple B, white neither"
     context = [GROUND, f"a/{paths.TRAJECTORY}"]
-    where = solid("whole run: green A better, purple B better", [WHERE, PLACES, *context], above(places), COMPARE)
+    where = solid(
+        "whole run: green A better, purple B better",
+        [WHERE, PLACES, *context],
+        above(places),
+        COMPARE,
+    )
     sensor = [f"a/{path}" for path in (paths.SENSOR, paths.RINGS)]
     who = solid(which, [SCAN, *sensor, *context], follow(f"a/{paths.RINGS}"), COMPARE)
     frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
@@ -75,7 +94,10 @@ def two(names: Sequence[str], places: F64 | None, first: F32 | None = None) -> r
 
 
 def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
-    """The layout for more than two runs: a small map and a small frame of each; arguments as for ``two``."""
+    """The layout for more than two runs: a small map and a small frame of each.
+
+    Arguments as for ``two``.
+    """
     numbers = _column([object_lanes.view(), *_numbers(names)])
     if places is None:
         return blueprint(numbers)
@@ -96,23 +118,34 @@ def _column(numbers: Sequence[Any]) -> Any:
 
 def _numbers(names: Sequence[str]) -> list[Any]:
     few = len(names) <= 3
-    key = ": " + ", ".join(f"{name[0]} {word}" for name, (word, _) in zip(names, COLOURS, strict=False))
+    key = ": " + ", ".join(
+        f"{name[0]} {word}" for name, (word, _) in zip(names, COLOURS, strict=False)
+    )
     scores = [_curves(score, names, key if few else "") for score in ("SA", "DA")]
     kinds = {"false_negative": "FN: distance [m]", "false_positive": "FP: distance [m]"}
     bars = [
-        rrb.BarChartView(name=title, contents=[f"{DISTANCE}/{kind}/**"], plot_legend=rrb.PlotLegend(visible=False))
+        rrb.BarChartView(
+            name=title,
+            contents=[f"{DISTANCE}/{kind}/**"],
+            plot_legend=rrb.PlotLegend(visible=False),
+        )
         for kind, title in kinds.items()
     ]
     return [rrb.Horizontal(*scores), rrb.Horizontal(*bars)]
 
 
 def _map(side: str, name: str, places: F64) -> Any:
-    shown = [f"{side}/{path}" for path in (f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY)]
+    shown = [
+        f"{side}/{path}" for path in (f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY)
+    ]
     return solid(f"{name}: whole run", shown, above(places), f"{side}/{paths.WORLD}")
 
 
 def _frame(side: str, name: str) -> Any:
-    shown = [f"{side}/{path}" for path in (paths.SCAN, paths.MAP, paths.SENSOR, paths.RINGS, paths.TRAJECTORY)]
+    shown = [
+        f"{side}/{path}"
+        for path in (paths.SCAN, paths.MAP, paths.SENSOR, paths.RINGS, paths.TRAJECTORY)
+    ]
     return solid(name, shown, follow(f"{side}/{paths.RINGS}"), f"{side}/{paths.WORLD}")
 
 
@@ -142,11 +175,16 @@ def above(points: F64) -> rrb.EyeControls3D:
     axes = np.linalg.eigh(flat.T @ flat)[1]  # short, long
     spans = flat @ axes
     middle = points[:, :2].mean(0) + axes @ (spans.min(0) + spans.max(0)) / 2
-    centre, along = np.array([*middle, np.median(points[:, 2])]), axes[:, 1]
+    centre = np.array([*middle, np.median(points[:, 2])])
+    along = axes[:, 1]
     across, length = np.ptp(spans, axis=0)
     length = max(float(length), 1.2 * float(across), 20.0)
     side = np.array([along[1], -along[0], 0.0])
     position = centre + 0.65 * length * (0.4 * side + np.array([0.0, 0.0, 0.95]))
     return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
+        kind=rrb.Eye3DKind.Orbital,
+        position=position,
+        look_target=centre,
+        eye_up=[0.0, 0.0, 1.0],
+        speed=length / 5,
     )

@@ -1,4 +1,7 @@
-"""The timeline ``case`` of a comparison: places where one run is right and the other wrong, costliest first."""
+"""The timeline ``case`` of a comparison.
+
+Places where one run is right and the other wrong, costliest first.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,14 @@ from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.sections import Sections
 from dynaviz.views import cases, drawn, keys, paths
-from dynaviz.views.compare.compare_layout import CASE_AROUND, CASE_BOX, CASE_KEY, CASE_STATES, CASE_TEXT, GAIN
+from dynaviz.views.compare.compare_layout import (
+    CASE_AROUND,
+    CASE_BOX,
+    CASE_KEY,
+    CASE_STATES,
+    CASE_TEXT,
+    GAIN,
+)
 from dynaviz.views.read.reader import DrawnPoints, RunRecording
 from dynaviz.views.record.case_timeline import HOW, above, circles, near
 from dynaviz.views.record.scene import EDGES, NAME_STYLE, WIRES
@@ -52,30 +62,50 @@ class Difference:
 
 
 def find(runs: tuple[RunRecording, RunRecording]) -> list[Difference]:
-    """The costliest differences between two runs with ground truth and coordinates, at most ``cases.LISTED``."""
-    found = [difference for wrong in (0, 1) for difference in _of_run(runs[wrong], runs[1 - wrong], wrong)]
+    """The costliest differences between two runs with ground truth and coordinates, at most
+    ``cases.LISTED``.
+    """
+    found = [
+        difference
+        for wrong in (0, 1)
+        for difference in _of_run(runs[wrong], runs[1 - wrong], wrong)
+    ]
     found.sort(key=lambda difference: -difference.case.cost)
     return [d for d in found[: cases.LISTED] if d.case.cost >= cases.WORTH * found[0].case.cost]
 
 
 def _of_run(run: RunRecording, other: RunRecording, wrong: int) -> Iterator[Difference]:
     p = run.properties
-    metric = registry.load("metrics", "failures")(MethodInfo(p["method"], p["title"], "", run.reasons))
-    positions = {frame: parts["Transform3D:translation"][0] for frame, parts in run.rows(paths.SENSOR)}
+    metric = registry.load("metrics", "failures")(
+        MethodInfo(p["method"], p["title"], "", run.reasons)
+    )
+    positions = {
+        frame: parts["Transform3D:translation"][0] for frame, parts in run.rows(paths.SENSOR)
+    }
     for points, mine, others in zip(run.drawn(), run.answers(), other.answers(), strict=True):
-        static, dynamic = (int((mine.truth == label).sum()) for label in (Label.STATIC, Label.DYNAMIC))
+        static, dynamic = (
+            int((mine.truth == label).sum()) for label in (Label.STATIC, Label.DYNAMIC)
+        )
         metric.add(_wrong_alone(points, mine, others, positions[points.frame]), static, dynamic)
-    section, boxes = Sections.of(metric.finish()).failures, metric.figures().get(cases.FAILURES)
+    section = Sections.of(metric.finish()).failures
+    boxes = metric.figures().get(cases.FAILURES)
     for i, case in enumerate(section.cases[: cases.LISTED] if section else ()):
         assert isinstance(boxes, FrameBoxes)
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
-        low, high = (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
+        low, high = (
+            (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
+        )
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
         yield Difference(wrong, case, Outcome(boxes.outcomes[i]), *corners)
 
 
-def _wrong_alone(points: DrawnPoints, mine: FrameAnswers, others: FrameAnswers, position: F64) -> Labelled:
-    """A frame's dynamic points and those that only this run got wrong; where both are wrong, as if it were right."""
+def _wrong_alone(
+    points: DrawnPoints, mine: FrameAnswers, others: FrameAnswers, position: F64
+) -> Labelled:
+    """A frame's dynamic points and those that only this run got wrong.
+
+    Where both are wrong, as if it were right.
+    """
     truth = mine.truth == Label.DYNAMIC
     labelled = mine.truth != Label.UNLABELLED
     alone = labelled & (mine.dynamic != truth) & (others.dynamic == truth)
@@ -90,9 +120,14 @@ def _wrong_alone(points: DrawnPoints, mine: FrameAnswers, others: FrameAnswers, 
 
 
 def write(
-    stream: rr.RecordingStream, sides: Sequence[str], runs: tuple[RunRecording, RunRecording], found: list[Difference]
+    stream: rr.RecordingStream,
+    sides: Sequence[str],
+    runs: tuple[RunRecording, RunRecording],
+    found: list[Difference],
 ) -> None:
-    """Show each difference at its index: its box, both runs' points and the state that shows most, and a text.
+    """Show each difference at its index.
+
+    Its box, both runs' points and the state that shows most, and a text.
 
     Args:
         stream: the recording of the comparison.
@@ -105,15 +140,24 @@ def write(
     for number, difference in enumerate(found, 1):
         stream.reset_time()
         stream.set_time(paths.CASE, sequence=number)
-        low, high, colour = difference.low, difference.high, colours.BRIGHT[difference.outcome]
-        centre, half = [(low + high) / 2], [(high - low) / 2]
+        low = difference.low
+        high = difference.high
+        colour = colours.BRIGHT[difference.outcome]
+        centre = [(low + high) / 2]
+        half = [(high - low) / 2]
         name = f"{number} {difference.title}"
-        stream.log(CASE_BOX, rr.Boxes3D.from_fields(centers=centre, half_sizes=half, labels=[name], colors=[colour]))
         stream.log(
-            paths.names(CASE_BOX), rr.Points3D.from_fields(positions=above(low[None], high[None]), labels=[name])
+            CASE_BOX,
+            rr.Boxes3D.from_fields(centers=centre, half_sizes=half, labels=[name], colors=[colour]),
+        )
+        stream.log(
+            paths.names(CASE_BOX),
+            rr.Points3D.from_fields(positions=above(low[None], high[None]), labels=[name]),
         )
         stream.log(CASE_AROUND, rr.LineStrips3D.from_fields(strips=circles(low[None], high[None])))
-        title = f"#### {number} of {len(found)}: {difference.title}, {difference.case.cost:.2f} % of"
+        title = (
+            f"#### {number} of {len(found)}: {difference.title}, {difference.case.cost:.2f} % of"
+        )
         text = f"{title} {difference.case.metric}\n\n{texts[number - 1]}\n\n{HOW}"
         stream.log(CASE_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
     _write_curves(stream, sides, runs, found)
@@ -122,31 +166,50 @@ def write(
 
 
 def _write_curves(
-    stream: rr.RecordingStream, sides: Sequence[str], runs: tuple[RunRecording, RunRecording], found: list[Difference]
+    stream: rr.RecordingStream,
+    sides: Sequence[str],
+    runs: tuple[RunRecording, RunRecording],
+    found: list[Difference],
 ) -> None:
-    """What each difference costs the run that is wrong, and its scores if this one and all before it were fixed."""
+    """What each difference costs the run that is wrong, and its scores if this one and all before
+    it were fixed.
+    """
     numbers = rr.TimeColumn(paths.CASE, sequence=np.arange(1, len(found) + 1))
     for i, (root, run, sign) in enumerate(zip(sides, runs, (-1, 1), strict=True)):
         gain = [sign * difference.case.cost * (difference.wrong != i) for difference in found]
-        stream.send_columns(f"{GAIN}/{root}", indexes=[numbers], columns=rr.Scalars.columns(scalars=gain))
+        stream.send_columns(
+            f"{GAIN}/{root}", indexes=[numbers], columns=rr.Scalars.columns(scalars=gain)
+        )
         for name in ("SA", "DA"):
             score = run.result.metrics.get(name) if run.result else None
             if score is not None:
                 lost = [d.case.cost * (d.wrong == i and d.case.metric == name) for d in found]
-                path, fixed = f"{root}/{paths.SCORES}/{name}/so_far", score + np.cumsum(lost)
-                stream.send_columns(path, indexes=[numbers], columns=rr.Scalars.columns(scalars=fixed))
+                path = f"{root}/{paths.SCORES}/{name}/so_far"
+                fixed = score + np.cumsum(lost)
+                stream.send_columns(
+                    path, indexes=[numbers], columns=rr.Scalars.columns(scalars=fixed)
+                )
 
 
 def _style(stream: rr.RecordingStream) -> None:
     """What is the same for all differences."""
-    stream.log(CASE_BOX, rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=False), static=True)
+    stream.log(
+        CASE_BOX,
+        rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=False),
+        static=True,
+    )
     stream.log(paths.names(CASE_BOX), NAME_STYLE, static=True)
     thin = rr.LineStrips3D.from_fields(colors=[90, 90, 100], radii=rr.Radius.ui_points(0.5))
     stream.log(CASE_AROUND, thin, static=True)
 
 
-def _copy(stream: rr.RecordingStream, root: str, run: RunRecording, found: Sequence[Difference]) -> None:
-    """What a run drew near each difference: its points, and the state with the largest share of its points there."""
+def _copy(
+    stream: rr.RecordingStream, root: str, run: RunRecording, found: Sequence[Difference]
+) -> None:
+    """What a run drew near each difference.
+
+    Its points, and the state with the largest share of its points there.
+    """
     prefix = f"{paths.WORLD}/{run.properties['method']}/"
     names = {path: path.removeprefix(prefix) for path in run.entities() if path.startswith(prefix)}
     targets = {path: f"{root}/{CASE_STATES}/{name}" for path, name in names.items()}
@@ -161,7 +224,9 @@ def _copy(stream: rr.RecordingStream, root: str, run: RunRecording, found: Seque
     targets |= {path: f"{root}/{path}" for path in COPIED}
     drawn_keys = _keys(run)
     for number, difference in enumerate(found, 1):
-        here = {path: row for (path, frame), row in rows.items() if frame == difference.case.worst_frame}
+        here = {
+            path: row for (path, frame), row in rows.items() if frame == difference.case.worst_frame
+        }
         shown = drawn.deciding(here, names, difference.low, difference.high)
         middle = (difference.low + difference.high) / 2
         stream.reset_time()
@@ -171,7 +236,9 @@ def _copy(stream: rr.RecordingStream, root: str, run: RunRecording, found: Seque
                 stream.log(targets[path], rr.Clear(recursive=False))
         stream.log(f"{root}/{CASE_KEY}", drawn_keys.get(shown or "", rr.Clear(recursive=False)))
         chosen = [path for path in (*COPIED, shown) if path in here]
-        copies = [drawn.at_case(targets[path], number, near(path, here[path], middle)) for path in chosen]
+        copies = [
+            drawn.at_case(targets[path], number, near(path, here[path], middle)) for path in chosen
+        ]
         rr.send_chunks(copies, recording=stream)
 
 
@@ -188,29 +255,43 @@ def _keys(run: RunRecording) -> dict[str, rr.EncodedImage]:
 def _texts(runs: tuple[RunRecording, RunRecording], found: Sequence[Difference]) -> list[str]:
     """What each difference is, and the reasons of both runs there."""
     reasons: dict[int, list[str]] = {}
-    frames = zip(runs[0].drawn(), runs[1].drawn(), runs[0].answers(), runs[1].answers(), strict=True)
+    frames = zip(
+        runs[0].drawn(), runs[1].drawn(), runs[0].answers(), runs[1].answers(), strict=True
+    )
     for drawn_points, *answers in ((frame[:2], *frame[2:]) for frame in frames):
         for i, difference in enumerate(found):
             points = drawn_points[difference.wrong]
             if points.frame == difference.case.worst_frame:
-                inside = (points.xyz >= difference.low - 0.01) & (points.xyz <= difference.high + 0.01)
+                inside = (points.xyz >= difference.low - 0.01) & (
+                    points.xyz <= difference.high + 0.01
+                )
                 mine = points.point[inside.all(1) & (points.outcome == difference.outcome)]
-                reasons[i] = [_shares(run, part.reasons[mine]) for run, part in zip(runs, answers, strict=True)]
+                reasons[i] = [
+                    _shares(run, part.reasons[mine])
+                    for run, part in zip(runs, answers, strict=True)
+                ]
     return [_text(difference, reasons.get(i, ["", ""])) for i, difference in enumerate(found)]
 
 
 def _shares(run: RunRecording, codes: Iterable[int]) -> str:
     names = [reason.name for reason in run.reasons]
-    counts = np.bincount(np.minimum(np.asarray(codes, np.intp), len(names)), minlength=len(names) + 1)
+    counts = np.bincount(
+        np.minimum(np.asarray(codes, np.intp), len(names)), minlength=len(names) + 1
+    )
     order = np.argsort(-counts, kind="stable")
-    return cases.shares({[*names, "unknown code"][code]: int(counts[code]) for code in order if counts[code]})
+    return cases.shares(
+        {[*names, "unknown code"][code]: int(counts[code]) for code in order if counts[code]}
+    )
 
 
 def _text(difference: Difference, reasons: Sequence[str]) -> str:
-    case, span = difference.case, f"{difference.case.first_frame} to {difference.case.last_frame}"
+    case = difference.case
+    span = f"{difference.case.first_frame} to {difference.case.last_frame}"
     lines = [
         f"- **{LETTERS[i]} {'wrong' if i == difference.wrong else 'right'}**: {reasons[i]}"
         for i in (0, 1)
         if reasons[i]
     ]
-    return "\n".join([case.sentence, "", *lines, f"- **Worst frame**: {case.worst_frame} of {span}"])
+    return "\n".join(
+        [case.sentence, "", *lines, f"- **Worst frame**: {case.worst_frame} of {span}"]
+    )

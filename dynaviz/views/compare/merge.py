@@ -1,4 +1,7 @@
-"""The recording of a comparison: each run below its own letter, on one time cursor, and what differs between them."""
+"""The recording of a comparison.
+
+Each run below its own letter, on one time cursor, and what differs between them.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,13 @@ from dynaviz.arrays import F64
 from dynaviz.colours import NEUTRAL, Colour
 from dynaviz.io.atomic import atomic_file
 from dynaviz.progress import Progress, silent
-from dynaviz.scores.comparison.counts import FIRST, SECOND, AgreementCounts, SpatialGains, frame_gains
+from dynaviz.scores.comparison.counts import (
+    FIRST,
+    SECOND,
+    AgreementCounts,
+    SpatialGains,
+    frame_gains,
+)
 from dynaviz.scores.comparison.pair import FrameChange, PlaceChange
 from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.spans import shared_objects
@@ -46,14 +55,17 @@ KEPT = (  # entities copied from each run
     f"{paths.SENSOR}/**", f"{paths.SCORES}/**", f"{paths.ERROR_DISTANCE}/**", paths.REPORT,
 )  # fmt: skip
 LEGEND = (
-    "Colours in each run's own views: blue dynamic, removed; orange dynamic, kept; yellow static, removed; "
+    "Colours in each run's own views: blue dynamic, removed; orange dynamic, kept; yellow static, "
+    "removed; "
     "grey static, kept."
 )
 DARK: Colour = (62, 64, 72)
 RUNS = [colour for _, colour in COLOURS]
 SIZES = np.array([1.6, 2.2, 2.2, 1.2], np.float32)  # of points on the screen, by agreement
 DYNAMIC_SCALE = 1.5  # dynamic points are drawn this much larger: they are few, and each counts more
-BUBBLE = 1.2  # metres: radius of the marks on the cells that change most; the area of a mark is the gain
+BUBBLE = (
+    1.2  # metres: radius of the marks on the cells that change most; the area of a mark is the gain
+)
 RAISED = 1.5  # metres above the wrong points, so that they do not hide the marks
 SEEN = 0.95  # share of all change that is in the picture when the recording opens
 LARGEST = 0.98  # quantile of the gains that gets the largest mark; beyond it, marks do not grow
@@ -61,7 +73,10 @@ LARGEST = 0.98  # quantile of the gains that gets the largest mark; beyond it, m
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One run in the merged recording: the root of its entities, its name in legends, and its colour."""
+    """One run in the merged recording.
+
+    The root of its entities, its name in legends, and its colour.
+    """
 
     root: str
     name: str
@@ -92,14 +107,19 @@ def write(
     """
     sides = [
         Side(root, run.label, colour, recording)
-        for root, run, colour, recording in zip(SIDES, comparison.runs, RUNS, recordings, strict=False)
+        for root, run, colour, recording in zip(
+            SIDES, comparison.runs, RUNS, recordings, strict=False
+        )
     ]
-    pair, drawn = len(sides) == 2, bool(fine)
+    pair = len(sides) == 2
+    drawn = bool(fine)
     found: list[compared_cases.Difference] = []
     if pair and drawn and all(recording.properties["has_labels"] for recording in recordings):
         found = compared_cases.find((recordings[0], recordings[1]))
     with _stream(out, comparison.title, _layout(sides, fine, found)) as stream:
-        if pair and drawn:  # first: the viewer reports a problem for views whose entities do not exist yet
+        if (
+            pair and drawn
+        ):  # first: the viewer reports a problem for views whose entities do not exist yet
             legend = _legend(sides)
             stream.log(COMPARE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             _write_ground(stream, sides[0])
@@ -120,7 +140,9 @@ def write(
             compared_cases.write(stream, SIDES[:2], (recordings[0], recordings[1]), found)
 
 
-def _layout(sides: Sequence[Side], fine: Sequence[SpatialGains], found: Sequence[compared_cases.Difference]) -> Any:
+def _layout(
+    sides: Sequence[Side], fine: Sequence[SpatialGains], found: Sequence[compared_cases.Difference]
+) -> Any:
     names = [side.name for side in sides]
     places = np.concatenate([_bulk(gains) for gains in fine]) if fine else None
     if len(sides) > 2:
@@ -140,7 +162,9 @@ def _bulk(gains: SpatialGains) -> F64:
 @contextlib.contextmanager
 def _stream(out: Path, title: str, layout: Any) -> Iterator[rr.RecordingStream]:
     with atomic_file(out) as unfinished, contextlib.closing(open_writer(unfinished)) as writer:
-        stream = rr.RecordingStream("dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False)
+        stream = rr.RecordingStream(
+            "dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False
+        )
         try:
             stream.save(writer.inlet, default_blueprint=layout)
             stream.set_log_time_enabled(False)
@@ -151,22 +175,33 @@ def _stream(out: Path, title: str, layout: Any) -> Iterator[rr.RecordingStream]:
 
 
 def _copy_run(stream: rr.RecordingStream, side: Side) -> None:
-    """Copy the entities that the layout shows to ``/SIDE``; curves get the run's name and colour."""
+    """Copy the entities that the layout shows to ``/SIDE``.
+
+    Curves get the run's name and colour.
+    """
     recording = side.recording
-    chunks = recording.store.stream().filter(content=["/" + path.removeprefix("/") for path in KEPT])
+    chunks = recording.store.stream().filter(
+        content=["/" + path.removeprefix("/") for path in KEPT]
+    )
     chunks = chunks.drop(has_timeline=paths.CASE)
     with recording.decoding():
         rr.send_chunks(
-            chunks.map(lambda chunk: chunk.with_entity_path(f"/{side.root}{chunk.entity_path}".rstrip("/"))),
+            chunks.map(
+                lambda chunk: chunk.with_entity_path(f"/{side.root}{chunk.entity_path}".rstrip("/"))
+            ),
             recording=stream,
         )
     for path in recording.entities():
         words = path.split("/")
         if words[0] == paths.SCORES and path != paths.WORST:
             what = " ".join(word.replace("_", " ") for word in words[2:] if word != "so_far")
-            style = rr.SeriesLines(names=f"{side.name} {what}".strip(), colors=side.colour, widths=2.0)
+            style = rr.SeriesLines(
+                names=f"{side.name} {what}".strip(), colors=side.colour, widths=2.0
+            )
             stream.log(f"{side.root}/{path}", style, static=True)
-    stream.send_property(side.root, rr.AnyValues(**{k: v for k, v in recording.properties.items() if v != ""}))
+    stream.send_property(
+        side.root, rr.AnyValues(**{k: v for k, v in recording.properties.items() if v != ""})
+    )
 
 
 def _write_properties(stream: rr.RecordingStream, comparison: Comparison) -> None:
@@ -199,9 +234,15 @@ def _legend(sides: Sequence[Side]) -> AgreementLegend:
 
 
 def _write_gains_by_frame(
-    stream: rr.RecordingStream, sides: Sequence[Side], counts: AgreementCounts, listed: Sequence[FrameChange]
+    stream: rr.RecordingStream,
+    sides: Sequence[Side],
+    counts: AgreementCounts,
+    listed: Sequence[FrameChange],
 ) -> None:
-    """A curve for each run, nonzero in frames where it is better; and marks on the frames in the report."""
+    """A curve for each run, nonzero in frames where it is better.
+
+    And marks on the frames in the report.
+    """
     gain = frame_gains(counts).sum(1)
     frames = rr.TimeColumn(paths.FRAME, sequence=np.arange(len(gain)))
     for side, sign in zip(sides, (-1, 1), strict=True):
@@ -211,11 +252,15 @@ def _write_gains_by_frame(
         values = np.where(gain * sign > 0, gain, 0.0)
         stream.send_columns(path, indexes=[frames], columns=rr.Scalars.columns(scalars=values))
     marked = sorted(change.frame for change in listed)
-    marks = rr.SeriesPoints(colors=NEUTRAL, markers="diamond", marker_sizes=4, names="listed in the report")
+    marks = rr.SeriesPoints(
+        colors=NEUTRAL, markers="diamond", marker_sizes=4, names="listed in the report"
+    )
     stream.log(CHANGED, marks, static=True)
     if marked:
         frames = rr.TimeColumn(paths.FRAME, sequence=marked)
-        stream.send_columns(CHANGED, indexes=[frames], columns=rr.Scalars.columns(scalars=gain[marked]))
+        stream.send_columns(
+            CHANGED, indexes=[frames], columns=rr.Scalars.columns(scalars=gain[marked])
+        )
 
 
 def _write_distances(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
@@ -233,29 +278,41 @@ def _write_distances(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
 def _write_objects(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
     """The objects that cost most over time: what each did, and what each run decided."""
     results = {side.root.upper(): side.recording.result for side in sides}
-    objects = shared_objects({letter: result.failures for letter, result in results.items() if result})
+    objects = shared_objects(
+        {letter: result.failures for letter, result in results.items() if result}
+    )
     for number, (title, parts) in enumerate(objects[: object_lanes.MOST], 1):
         for path, style, frames, states in object_lanes.lanes(number, title, True, parts):
             stream.log(path, style, static=True)
-            stream.send_columns(path, indexes=[rr.TimeColumn(paths.FRAME, sequence=frames)], columns=states)
+            stream.send_columns(
+                path, indexes=[rr.TimeColumn(paths.FRAME, sequence=frames)], columns=states
+            )
 
 
 def _bars(recording: RunRecording, path: str) -> tuple[F64, F64, F64] | None:
     """Heights, middles and widths of a static bar chart; None if absent."""
     for chunk in recording.store.stream().filter(content=f"/{path}", is_static=True):
         row = {name: values[-1] for name, values in chunk.to_record_batch().to_pydict().items()}
-        heights, middles = (np.array(row[f"BarChart:{part}"][0]["buffer"], float) for part in ("values", "abscissa"))
+        heights, middles = (
+            np.array(row[f"BarChart:{part}"][0]["buffer"], float) for part in ("values", "abscissa")
+        )
         return heights, middles, np.array(row["BarChart:widths"], float)
     return None
 
 
-def _write_agreement(stream: rr.RecordingStream, first: Side, second: Side, legend: AgreementLegend) -> None:
+def _write_agreement(
+    stream: rr.RecordingStream, first: Side, second: Side, legend: AgreementLegend
+) -> None:
     """The drawn points of each frame by agreement, and the legend of all their class ids."""
     for drawn in agreed_points(first.recording, second.recording, legend):
         stream.reset_time()
         stream.set_time(paths.FRAME, sequence=drawn.frame)
-        sizes = -SIZES[drawn.right] * np.where(drawn.dynamic, np.float32(DYNAMIC_SCALE), np.float32(1))
-        stream.log(SCAN, rr.Points3D(drawn.xyz, class_ids=drawn.ids, radii=sizes, show_labels=False))
+        sizes = -SIZES[drawn.right] * np.where(
+            drawn.dynamic, np.float32(DYNAMIC_SCALE), np.float32(1)
+        )
+        stream.log(
+            SCAN, rr.Points3D(drawn.xyz, class_ids=drawn.ids, radii=sizes, show_labels=False)
+        )
     stream.log(COMPARE, rr.AnnotationContext(legend.entries()), static=True)
 
 
@@ -274,7 +331,9 @@ def _write_gains_by_cell(stream: rr.RecordingStream, fine: SpatialGains) -> None
     most = np.quantile(size, LARGEST) if len(size) else 1.0
     radii = BUBBLE * np.sqrt(np.minimum(size / most, 1.0))
     better = np.where(gain[changed] > 0, SECOND, FIRST).astype(np.uint16)
-    stream.log(WHERE, rr.Points3D(centres, class_ids=better, radii=radii, show_labels=False), static=True)
+    stream.log(
+        WHERE, rr.Points3D(centres, class_ids=better, radii=radii, show_labels=False), static=True
+    )
 
 
 def _write_places(stream: rr.RecordingStream, places: Sequence[PlaceChange]) -> None:

@@ -1,10 +1,12 @@
 """The chunks of a recording file, checked one by one without rerun.
 
-Rerun stops at the first damaged chunk, and some damaged chunks end its whole process, because their table refers to
-bytes outside of it. So each chunk is decoded here first with pyarrow, which checks all sizes, at some 200 MB a second.
+Rerun stops at the first damaged chunk, and some damaged chunks end its whole process, because their
+table refers to bytes outside of it. So each chunk is decoded here first with pyarrow, which checks
+all sizes, at some 200 MB a second.
 
-A recording is a header of 12 bytes and a series of messages: their kind and size as two uint64, and the content in
-protobuf. A chunk is a message of kind 2, whose field 5 is an Arrow IPC stream, mostly compressed with LZ4.
+A recording is a header of 12 bytes and a series of messages: their kind and size as two uint64, and
+the content in protobuf. A chunk is a message of kind 2, whose field 5 is an Arrow IPC stream,
+mostly compressed with LZ4.
 """
 
 from __future__ import annotations
@@ -19,10 +21,17 @@ from typing import Any, BinaryIO
 
 import pyarrow as pa
 
-_START, _HEAD = 12, struct.Struct("<QQ")  # bytes before the first message; kind and size of a message
+# bytes before the first message; kind and size of a message
+_START = 12
+_HEAD = struct.Struct("<QQ")
 _END, _STORE, _CHUNK, _LAYOUT = range(4)  # kinds of messages
-_COMPRESSION, _SIZE, _TABLE = 2, 3, 5  # fields of a chunk
-_ACTIVE, _PASSIVE = b"\x10\x01\x18\x01", b"\x10\x00\x18\x01"  # end of a layout's message: make it active and default
+# fields of a chunk
+_COMPRESSION = 2
+_SIZE = 3
+_TABLE = 5
+# end of a layout's message: make it active and default
+_ACTIVE = b"\x10\x01\x18\x01"
+_PASSIVE = b"\x10\x00\x18\x01"
 _LZ4 = 2  # a compression; 1 is none
 _MOST = 255  # bytes that LZ4 decompresses from one byte, at most
 
@@ -101,7 +110,8 @@ def copy_undamaged(path: Path, out: Path) -> int:
 
 
 def without_layout(path: Path) -> Iterator[bytes]:
-    """The bytes of a recording whose own layouts are passive, so that a viewer keeps the one that it shows.
+    """The bytes of a recording whose own layouts are passive, so that a viewer keeps the one that
+    it shows.
 
     Raises:
         OSError: if the file cannot be read.
@@ -115,7 +125,9 @@ def without_layout(path: Path) -> Iterator[bytes]:
 
 
 def _messages(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Kinds and bytes of the messages of a recording, without its end, which refers to positions in it."""
+    """Kinds and bytes of the messages of a recording, without its end, which refers to positions in
+    it.
+    """
     while len(head := file.read(_HEAD.size)) == _HEAD.size:
         kind, size = _HEAD.unpack(head)
         if kind == _END:
@@ -159,7 +171,8 @@ def _problem(content: bytes) -> str | None:
 
 def _fields(content: bytes) -> Iterator[tuple[int, Any]]:
     """Numbers and values of the fields of a protobuf message: integers and bytes."""
-    view, at = memoryview(content), 0
+    view = memoryview(content)
+    at = 0
     while at < len(view):
         tag, at = _varint(view, at)
         value, at = _varint(view, at)

@@ -31,12 +31,24 @@ from dynaviz.views.witnesses import spans_of_rays
 BEFORE_AND_AFTER = 5  # frames around those of the case
 MOST = 60  # frames of a clip; of longer cases every n-th is shown
 SECONDS = 4.0  # a clip lasts about this long ...
-SLOWEST, FASTEST = 4.0, 15.0  # ... but shows this many frames per second at least and at most
+# ... but shows this many frames per second at least and at most
+SLOWEST = 4.0
+FASTEST = 15.0
 CODEC = "vp09"  # in every OpenCV wheel, and browsers play it
 CLOSEST = 14.0  # metres: distance of the eye from the middle of a small case
 SECONDS_TO_SHOW = 20.0
-MARGIN, LINE, LETTER, SWATCH, NAMES = 8, 18, 8, 14, 64  # pixels of a caption; ``NAMES``: left of its lanes
-LABELLED = (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE, Outcome.DYNAMIC_REMOVED, Outcome.STATIC_KEPT)
+# pixels of a caption; ``NAMES``: left of its lanes
+MARGIN = 8
+LINE = 18
+LETTER = 8
+SWATCH = 14
+NAMES = 64
+LABELLED = (
+    Outcome.FALSE_NEGATIVE,
+    Outcome.FALSE_POSITIVE,
+    Outcome.DYNAMIC_REMOVED,
+    Outcome.STATIC_KEPT,
+)
 BOX = "world/clip"
 
 
@@ -87,7 +99,9 @@ def case_span(recording: RunRecording, number: int) -> CaseSpan:
     lanes = {name: parts for name in LANES if (parts := lane(spans, name))}
     box = np.array(case.low), np.array(case.high)
     title = f"case {number}: {case.what}"
-    return CaseSpan(title, frames, case.worst_frame, *box, case.sentence, outcome, lanes, recording.frames)
+    return CaseSpan(
+        title, frames, case.worst_frame, *box, case.sentence, outcome, lanes, recording.frames
+    )
 
 
 def show_alone(client: ViewerClient, recording: RunRecording, span: CaseSpan) -> None:
@@ -98,14 +112,22 @@ def show_alone(client: ViewerClient, recording: RunRecording, span: CaseSpan) ->
     """
     contents = [paths.SCAN, paths.MAP, BOX, paths.SENSOR, paths.RINGS, paths.TRAJECTORY]
     entry = RrdReader(recording.path).recordings()[0]
-    stream = rr.RecordingStream(entry.application_id, recording_id=entry.recording_id, send_properties=False)
+    stream = rr.RecordingStream(
+        entry.application_id, recording_id=entry.recording_id, send_properties=False
+    )
     stream.connect_grpc(client.url)
     box = rr.Boxes3D(
-        mins=[span.low], sizes=[span.high - span.low], colors=colours.NEUTRAL, radii=EDGES, fill_mode=WIRES
+        mins=[span.low],
+        sizes=[span.high - span.low],
+        colors=colours.NEUTRAL,
+        radii=EDGES,
+        fill_mode=WIRES,
     )
-    stream.log(BOX, box, static=True)  # that of this case alone; the recording draws those of all cases
+    # that of this case alone; the recording draws those of all cases
+    stream.log(BOX, box, static=True)
     stream.send_blueprint(
-        blueprint(solid(span.title, contents, eye_on(span.low, span.high, ASIDE, CLOSEST))), make_default=False
+        blueprint(solid(span.title, contents, eye_on(span.low, span.high, ASIDE, CLOSEST))),
+        make_default=False,
     )
     stream.flush(timeout_sec=SECONDS_TO_SHOW)
     stream.disconnect()
@@ -130,34 +152,52 @@ def encoded(pictures: Iterator[bytes], span: CaseSpan) -> bytes:
 
     speed = float(np.clip(len(span.frames) / SECONDS, SLOWEST, FASTEST))
     with tempfile.TemporaryDirectory() as folder:
-        file, writer = Path(folder) / "clip.mp4", None  # OpenCV takes the format from the suffix
+        # OpenCV takes the format from the suffix
+        file = Path(folder) / "clip.mp4"
+        writer = None
         for frame, png in zip(span.frames, pictures, strict=True):
-            picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)
+            picture = np.asarray(
+                cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8
+            )
             picture = np.vstack([picture, caption(span, frame, picture.shape[1])[:, :, ::-1]])
-            height, width = (edge - edge % 2 for edge in picture.shape[:2])  # the codec needs even edges
+            # the codec needs even edges
+            height, width = (edge - edge % 2 for edge in picture.shape[:2])
             if writer is None:
-                writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*CODEC), speed, (width, height))
+                writer = cv2.VideoWriter(
+                    str(file), cv2.VideoWriter.fourcc(*CODEC), speed, (width, height)
+                )
             writer.write(picture[:height, :width])
         if writer is not None:
             writer.release()
         if not file.is_file() or not file.stat().st_size:
             raise DynavizError(
-                "OpenCV cannot write MP4 here. Reinstall opencv-python-headless with pip, or give a .png"
+                "OpenCV cannot write MP4 here. Reinstall opencv-python-headless with pip, or give "
+                "a .png"
             )
         return file.read_bytes()
 
 
 def caption(span: CaseSpan, frame: int, width: int) -> U8:
-    """(rows, width, 3) uint8 RGB: the case in words, the colours of its points, and its lanes with a cursor."""
+    """(rows, width, 3) uint8 RGB.
+
+    The case in words, the colours of its points, and its lanes with a cursor.
+    """
     words = textwrap.wrap(span.sentence, max(20, (width - 2 * MARGIN) // LETTER))
     if span.outcome == Outcome.UNLABELLED_REMOVED:
-        legend = [(colours.BRIGHT[span.outcome], "removed"), (colours.BRIGHT[Outcome.UNLABELLED_KEPT], "kept")]
+        legend = [
+            (colours.BRIGHT[span.outcome], "removed"),
+            (colours.BRIGHT[Outcome.UNLABELLED_KEPT], "kept"),
+        ]
     else:
-        legend = [(colours.BRIGHT[outcome], paths.NAMES[outcome].split(": ")[-1]) for outcome in LABELLED]
+        legend = [
+            (colours.BRIGHT[outcome], paths.NAMES[outcome].split(": ")[-1]) for outcome in LABELLED
+        ]
     shades = colours.span_colours(span.outcome == Outcome.FALSE_NEGATIVE)
     used = dict.fromkeys(state for parts in span.lanes.values() for state, _ in parts)
     legend += [(shades[state], state) for state in used if state not in ("kept", "removed")]
-    places, row, at = [], len(words), MARGIN
+    places = []
+    row = len(words)
+    at = MARGIN
     for _, name in legend:
         wide = SWATCH + 20 + LETTER * len(name)
         row, at = (row + 1, MARGIN) if at + wide > width else (row, at)
@@ -174,7 +214,10 @@ def caption(span: CaseSpan, frame: int, width: int) -> U8:
     for k, (name, parts) in enumerate(span.lanes.items(), row + 1):
         _write(pixels, name, MARGIN, k)
         for state, (first, last) in parts:
-            ends = slice(NAMES + int(step * first), NAMES + max(int(step * (last + 1)), int(step * first) + 1))
+            ends = slice(
+                NAMES + int(step * first),
+                NAMES + max(int(step * (last + 1)), int(step * first) + 1),
+            )
             _row(pixels, k)[2:-2, ends] = shades[state]
     if span.lanes:
         cursor = NAMES + int(step * (frame + 0.5))
@@ -191,4 +234,6 @@ def _write(pixels: U8, text: str, left: int, line: int) -> None:
 
     plain = text.replace("°", " degrees")  # OpenCV's letters are ASCII
     base = MARGIN + (line + 1) * LINE - 5
-    cv2.putText(pixels, plain, (left, base), cv2.FONT_HERSHEY_SIMPLEX, 0.45, keys.TEXT, 1, cv2.LINE_AA)
+    cv2.putText(
+        pixels, plain, (left, base), cv2.FONT_HERSHEY_SIMPLEX, 0.45, keys.TEXT, 1, cv2.LINE_AA
+    )

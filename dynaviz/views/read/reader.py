@@ -1,4 +1,6 @@
-"""Read a recording: its properties, the label of every point, curves, and the points that were drawn."""
+"""Read a recording: its properties, the label of every point, curves, and the points that were
+drawn.
+"""
 
 from __future__ import annotations
 
@@ -33,11 +35,14 @@ from dynaviz.views.record.sink import part_of
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")
 _HINT = "Give the run.rrd of a run"
 NEEDED = (  # properties that every recording of a run has
-    "method", "title", "reasons_json", "sequence", "digest", "has_labels", "frames", "points", "mode", "params_json",
+    "method", "title", "reasons_json", "sequence", "digest", "has_labels", "frames", "points",
+    "mode", "params_json",
     "seed", "online", "complete",
 )  # fmt: skip
 COUNTS = ("schema", "frames", "points", "seed")  # properties that are integers
-COMPARISON = "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
+COMPARISON = (
+    "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
+)
 KINDS = {
     paths.PROPERTIES: "a run",
     COMPARISON: "a comparison",
@@ -70,7 +75,9 @@ class DamagedRecordingError(DataError):
 
 
 class AnyRecording:
-    """A complete recording of dynaviz: of a run, of a comparison, or the overview of a run on tiles.
+    """A complete recording of dynaviz.
+
+    Of a run, of a comparison, or the overview of a run on tiles.
 
     Args:
         path: the file.
@@ -79,7 +86,8 @@ class AnyRecording:
         kind: ``run``, ``comparison``, ``live`` or ``overview``; also the name of its properties.
 
     Raises:
-        DataError: if the file is not a recording of dynaviz, is incomplete, or was written by a newer dynaviz.
+        DataError: if the file is not a recording of dynaviz, is incomplete, or was written by a
+            newer dynaviz.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
@@ -90,13 +98,18 @@ class AnyRecording:
 
     @contextlib.contextmanager
     def decoding(self) -> Iterator[None]:
-        """Turn the many types of errors of rerun, Arrow and numpy for damaged content into DataError."""
+        """Turn the many types of errors of rerun, Arrow and numpy for damaged content into
+        DataError.
+        """
         try:
             yield
         except DynavizError:
             raise
         except Exception as error:
-            reason = " ".join(str(error).replace(str(self.path), "").split())[-80:] or type(error).__name__
+            reason = (
+                " ".join(str(error).replace(str(self.path), "").split())[-80:]
+                or type(error).__name__
+            )
             raise _damaged(self.path, f"contains damaged data ({reason})") from error
 
     @property
@@ -110,21 +123,34 @@ class AnyRecording:
         if self.kind != paths.LIVE:
             return range(self.frames)
         with self.decoding():
-            times = self.store.stream().filter(content=f"/{paths.REMOVED_POINTS}/removed", has_timeline=paths.FRAME)
-            found = [frame for chunk in times for frame in chunk.to_record_batch()[paths.FRAME].to_pylist()]
+            times = self.store.stream().filter(
+                content=f"/{paths.REMOVED_POINTS}/removed", has_timeline=paths.FRAME
+            )
+            found = [
+                frame
+                for chunk in times
+                for frame in chunk.to_record_batch()[paths.FRAME].to_pylist()
+            ]
         return range(min(found), max(found) + 1) if found else range(0)
 
     def facts(self) -> dict[str, str]:
         """A summary for display: names and values."""
-        p, size = self.properties, f"{self.path.stat().st_size / 1e6:.1f} MB"
+        p = self.properties
+        size = f"{self.path.stat().st_size / 1e6:.1f} MB"
         if self.kind == paths.OVERVIEW:
-            return {"overview": p["title"], "sequence": p["sequence"], "frames": f"{self.frames:,}", "size": size}
+            return {
+                "overview": p["title"],
+                "sequence": p["sequence"],
+                "frames": f"{self.frames:,}",
+                "size": size,
+            }
         if self.kind == paths.LIVE:
             span = f"{self.span[0]} to {self.span[-1]}" if self.span else "none"
             return {"live": p["method"], "source": p["source"], "frames": span, "size": size}
         with self.decoding():
             letters = {
-                run["letter"]: f"{run['name']}, {run['path']}" for run in json.loads(p["comparison_json"])["runs"]
+                run["letter"]: f"{run['name']}, {run['path']}"
+                for run in json.loads(p["comparison_json"])["runs"]
             }
         return {
             "comparison": p["title"],
@@ -136,7 +162,10 @@ class AnyRecording:
         }
 
     def curve(self, path: str) -> tuple[I64, F64]:
-        """Frames and values of a curve, in order; NaN where undefined; empty if there is no such curve."""
+        """Frames and values of a curve, in order; NaN where undefined.
+
+        Empty if there is no such curve.
+        """
         with self.decoding():
             rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self.rows(path)]
         return np.array([f for f, _ in rows], np.int64), np.array([value for _, value in rows])
@@ -144,7 +173,9 @@ class AnyRecording:
     def entities(self) -> list[str]:
         """All entity paths, sorted, without the leading slash."""
         with self.decoding():
-            return sorted(str(path).removeprefix("/") for path in self.store.schema().entity_paths())
+            return sorted(
+                str(path).removeprefix("/") for path in self.store.schema().entity_paths()
+            )
 
     def static(self, path: str) -> dict[str, Any]:
         """Static components of an entity; the last row wins if there are several."""
@@ -157,7 +188,10 @@ class AnyRecording:
         return found
 
     def rows(self, path: str, timeline: str = paths.FRAME) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Rows of an entity by frame or case; the parts of a row may be in several chunks, in any order."""
+        """Rows of an entity by frame or case.
+
+        The parts of a row may be in several chunks, in any order.
+        """
         places: defaultdict[int, list[tuple[Any, int]]] = defaultdict(list)
         with self.decoding():
             for chunk in self.store.stream().filter(content=f"/{path}", has_timeline=timeline):
@@ -172,14 +206,22 @@ class AnyRecording:
 
     def _read_properties(self) -> tuple[str, dict[str, Any]]:
         for kind in KINDS:
-            properties = {name: value[0] for name, value in self.static(f"__properties/{kind}").items()}
+            properties = {
+                name: value[0] for name, value in self.static(f"__properties/{kind}").items()
+            }
             if "schema" in properties:
                 break
         else:
-            raise DataError(self.path, "is a Rerun recording, but not from dynaviz", hint="Give the run.rrd of a run")
+            raise DataError(
+                self.path,
+                "is a Rerun recording, but not from dynaviz",
+                hint="Give the run.rrd of a run",
+            )
         if properties["schema"] > paths.SCHEMA:
             raise DataError(self.path, "was written by a newer dynaviz", hint="Upgrade dynaviz")
-        if kind == paths.PROPERTIES and (lacking := [name for name in NEEDED if name not in properties]):
+        if kind == paths.PROPERTIES and (
+            lacking := [name for name in NEEDED if name not in properties]
+        ):
             problem = f"was written by an older dynaviz and lacks {', '.join(lacking)}"
             raise DataError(self.path, problem, hint="Run the method again")
         for name, value in properties.items():
@@ -202,7 +244,11 @@ class RunRecording(AnyRecording):
     def __init__(self, path: str | os.PathLike[str]):
         super().__init__(path)
         if self.kind != paths.PROPERTIES:
-            raise DataError(self.path, f"contains {KINDS[self.kind]}, not a run", hint="Give the run.rrd of a run")
+            raise DataError(
+                self.path,
+                f"contains {KINDS[self.kind]}, not a run",
+                hint="Give the run.rrd of a run",
+            )
         self._unscored: frozenset[int] = frozenset()
 
     def leave_out(self, frames: Iterable[int]) -> None:
@@ -218,14 +264,22 @@ class RunRecording(AnyRecording):
     def result(self) -> Result | None:
         """The run's result; None if it did not finish."""
         with self.decoding():
-            return Result.from_dict(json.loads(self.properties["result_json"]), self.path) if self.complete else None
+            return (
+                Result.from_dict(json.loads(self.properties["result_json"]), self.path)
+                if self.complete
+                else None
+            )
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """The legend of the reason codes."""
         with self.decoding():
             return tuple(
-                Reason(reason["name"], reason["meaning"], Cause(reason["cause"]) if reason.get("cause") else None)
+                Reason(
+                    reason["name"],
+                    reason["meaning"],
+                    Cause(reason["cause"]) if reason.get("cause") else None,
+                )
                 for reason in json.loads(self.properties["reasons_json"])
             )
 
@@ -246,7 +300,9 @@ class RunRecording(AnyRecording):
             "points": f"{p['points']:,}",
             "ground truth": "yes" if p["has_labels"] else "no",
             "mode": f"{p['mode']}, {'online' if p['online'] else 'two passes'}, seed {p['seed']}",
-            "parameters": ", ".join(f"{name}={json.dumps(value)}" for name, value in self.parameters.items()),
+            "parameters": ", ".join(
+                f"{name}={json.dumps(value)}" for name, value in self.parameters.items()
+            ),
             "finished": "yes" if self.complete else "no, the run ended early",
             "size": f"{self.path.stat().st_size / 1e6:.1f} MB",
             "command": p.get("command", ""),
@@ -274,7 +330,9 @@ class RunRecording(AnyRecording):
     @functools.cached_property
     def _packed(self) -> dict[int, U8]:
         name = f"{stored_ledgers.ARCHETYPE}:{stored_ledgers.COMPONENT}"
-        return {case: components[name] for case, components in self.rows(paths.CASE_LEDGERS, paths.CASE)}
+        return {
+            case: components[name] for case, components in self.rows(paths.CASE_LEDGERS, paths.CASE)
+        }
 
     def answers(self) -> Iterator[FrameAnswers]:
         """Label, ground truth and reason of every point, frame by frame in the order of the run.
@@ -283,12 +341,17 @@ class RunRecording(AnyRecording):
             DataError: for a frame whose data are damaged.
         """
         for frame, components in self.rows(paths.ANSWERS):
-            values = {name.removeprefix(f"{ARCHETYPE}:"): value for name, value in components.items()}
+            values = {
+                name.removeprefix(f"{ARCHETYPE}:"): value for name, value in components.items()
+            }
             try:
                 answers = FrameAnswers.unpacked(frame, values)
             except Exception as error:
                 raise DataError(
-                    self.path, f"contains damaged answers ({error})", at=f"frame {frame}", hint="Run the method again"
+                    self.path,
+                    f"contains damaged answers ({error})",
+                    at=f"frame {frame}",
+                    hint="Run the method again",
                 ) from error
             yield answers.unscored() if frame in self._unscored else answers
 
@@ -297,7 +360,9 @@ class RunRecording(AnyRecording):
         for frame, components in self.rows(paths.SCAN):
             if "Clear:is_recursive" in components:  # left out because of a budget
                 nothing = np.empty(0, np.int64)
-                yield DrawnPoints(frame, np.empty((0, 3), np.float32), nothing.astype(np.uint8), nothing, nothing)
+                yield DrawnPoints(
+                    frame, np.empty((0, 3), np.float32), nothing.astype(np.uint8), nothing, nothing
+                )
                 continue
             if "Points3D:positions" not in components:
                 continue  # the incomplete last frame of a killed run
@@ -328,11 +393,19 @@ def open_store(path: Path) -> Any:
             head = file.read(8)
     except OSError as error:
         part = part_of(path)
-        hint = f"The run did not finish. Salvage its recording with: dynaviz info {part}" if part.is_file() else _HINT
+        hint = (
+            f"The run did not finish. Salvage its recording with: dynaviz info {part}"
+            if part.is_file()
+            else _HINT
+        )
         raise DataError(path, error.strerror or "cannot be read", hint=hint) from None
     if head[:4] not in MAGIC:
         raise DataError(path, "is not a recording", at="byte 0", hint=_HINT)
-    if head[:4] == MAGIC[0] and (damage := chunks.first_damage(path)) is not None and not damage.truncated:
+    if (
+        head[:4] == MAGIC[0]
+        and (damage := chunks.first_damage(path)) is not None
+        and not damage.truncated
+    ):
         raise _damaged(path, f"contains a damaged chunk ({damage.problem})", at=f"byte {damage.at}")
     try:
         with warnings.catch_warnings():
@@ -346,7 +419,8 @@ def viewable(path: Path) -> None:
     """Check that the viewer can open a recording.
 
     Raises:
-        DataError: as ``open_store``, and if the name does not end in ``.rrd``, which the viewer requires.
+        DataError: as ``open_store``, and if the name does not end in ``.rrd``, which the viewer
+            requires.
     """
     open_store(path)
     if path.suffix != ".rrd":
@@ -356,19 +430,30 @@ def viewable(path: Path) -> None:
 
 def _broken(path: Path, head: bytes) -> DataError:
     """The error for a recording that does not open."""
-    here, there = metadata.version("rerun-sdk"), tuple(head[4:6])
+    here = metadata.version("rerun-sdk")
+    there = tuple(head[4:6])
     if head[:4] != MAGIC[0]:
-        return DataError(path, "was written by a Rerun before 0.23, which cannot be read", hint="Run the method again")
+        return DataError(
+            path,
+            "was written by a Rerun before 0.23, which cannot be read",
+            hint="Run the method again",
+        )
     if there > tuple(map(int, here.split(".")[:2])):
-        problem = f"was written by rerun {'.'.join(map(str, there))}, newer than the installed {here}"
+        problem = (
+            f"was written by rerun {'.'.join(map(str, there))}, newer than the installed {here}"
+        )
         return DataError(path, problem, hint="Upgrade dynaviz")
     hint = f"Salvage its frames with: dynaviz info {path}"
-    return DamagedRecordingError(path, "is incomplete: its run was killed, or the file is truncated", hint=hint)
+    return DamagedRecordingError(
+        path, "is incomplete: its run was killed, or the file is truncated", hint=hint
+    )
 
 
 def _damaged(path: Path, problem: str, at: str | None = None) -> DamagedRecordingError:
     """The error for a recording of which a part is damaged."""
-    return DamagedRecordingError(path, problem, at=at, hint=f"Save all other parts with: dynaviz info {path}")
+    return DamagedRecordingError(
+        path, problem, at=at, hint=f"Save all other parts with: dynaviz info {path}"
+    )
 
 
 def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:

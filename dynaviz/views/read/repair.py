@@ -1,4 +1,7 @@
-"""Salvage a recording that a killed run left behind, or that is damaged: every undamaged chunk, and the layout."""
+"""Salvage a recording that a killed run left behind, or that is damaged.
+
+Every undamaged chunk, and the layout.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,14 @@ from pathlib import Path
 from dynaviz.errors import DataError, UsageError
 from dynaviz.views import paths, viewer
 from dynaviz.views.read import chunks
-from dynaviz.views.read.reader import COMPARISON, KINDS, AnyRecording, DamagedRecordingError, RunRecording, open_store
+from dynaviz.views.read.reader import (
+    COMPARISON,
+    KINDS,
+    AnyRecording,
+    DamagedRecordingError,
+    RunRecording,
+    open_store,
+)
 from dynaviz.views.record.sink import of_part
 
 _HINT = "Free space, or copy the recording to another folder"
@@ -38,7 +48,8 @@ class SalvagedRecording:
 
 
 def repaired(recording: Path) -> Path:
-    """The recording itself, or if it is incomplete or damaged, what ``salvage`` saves of it in ``*-repaired.rrd``.
+    """The recording itself, or if it is incomplete or damaged, what ``salvage`` saves of it in
+    ``*-repaired.rrd``.
 
     A warning says what was saved. A repaired file that is newer than the recording is used again.
 
@@ -61,8 +72,14 @@ def repaired(recording: Path) -> Path:
     target.unlink(missing_ok=True)
     found = salvage(recording, target)
     if not found.observed:
-        raise DataError(recording, f"{problem}, and nothing of it can be saved", hint="Run the method again")
-    damaged = f", without {found.damaged} damaged chunk{'s' * (found.damaged != 1)}" if found.damaged else ""
+        raise DataError(
+            recording, f"{problem}, and nothing of it can be saved", hint="Run the method again"
+        )
+    damaged = (
+        f", without {found.damaged} damaged chunk{'s' * (found.damaged != 1)}"
+        if found.damaged
+        else ""
+    )
     frames = f"{found.answered} of {found.frames} frames"
     if not found.answered:
         frames = f"states of {found.observed} of {found.frames} frames"
@@ -83,7 +100,11 @@ def salvage(broken: Path, target: Path) -> SalvagedRecording:
         except DataError:  # not even the properties were written, or they are damaged
             return SalvagedRecording(damaged=damaged)
         if kind not in (paths.PROPERTIES, paths.LIVE):
-            again = "Write it again with dynaviz compare" if kind == COMPARISON else "Run the method again"
+            again = (
+                "Write it again with dynaviz compare"
+                if kind == COMPARISON
+                else "Run the method again"
+            )
             raise UsageError(f"{broken} contains {KINDS[kind]}, not a run. {again}")
         found = _count_frames(salvaged)
         if found.observed:
@@ -93,18 +114,34 @@ def salvage(broken: Path, target: Path) -> SalvagedRecording:
 
 @contextlib.contextmanager
 def _complete_copy(broken: Path, target: Path) -> Iterator[tuple[Path, int]]:
-    """Copy all undamaged chunks to a file next to the target, deleted after the block; and the number of damaged ones.
+    """Copy all undamaged chunks to a file next to the target, deleted after the block.
+
+    And the number of damaged ones.
 
     The end of a truncated file does not count.
     """
     try:
         with tempfile.TemporaryDirectory(prefix=".repair-", dir=target.parent) as folder:
-            salvaged, source, damaged = Path(folder) / "salvaged.rrd", broken, 0
-            if (first := chunks.first_damage(broken)) is not None and not first.truncated:  # some end the program
+            salvaged = Path(folder) / "salvaged.rrd"
+            source = broken
+            damaged = 0
+            if (
+                first := chunks.first_damage(broken)
+            ) is not None and not first.truncated:  # some end the program
                 source = Path(folder) / "undamaged.rrd"
                 damaged = chunks.copy_undamaged(broken, source)
-            command = [viewer.program(), "rrd", "merge", "--continue-on-error", str(source), "-o", str(salvaged)]
-            done = subprocess.run(command, capture_output=True, check=False, text=True, errors="replace")
+            command = [
+                viewer.program(),
+                "rrd",
+                "merge",
+                "--continue-on-error",
+                str(source),
+                "-o",
+                str(salvaged),
+            ]
+            done = subprocess.run(
+                command, capture_output=True, check=False, text=True, errors="replace"
+            )
             if done.returncode:
                 message = (done.stderr.strip().splitlines() or ["no message"])[-1]
                 raise DataError(target, f"cannot be written ({message[:200]})", hint=_HINT)
@@ -122,7 +159,9 @@ def _count_frames(path: Path) -> SalvagedRecording:
     with contextlib.suppress(DataError):  # for a damaged frame
         for answered, _ in enumerate(recording.answers(), 1):  # noqa: B007
             pass
-    return SalvagedRecording(answered, answered or _observed(path), int(recording.properties["frames"]))
+    return SalvagedRecording(
+        answered, answered or _observed(path), int(recording.properties["frames"])
+    )
 
 
 def _observed(path: Path) -> int:

@@ -23,7 +23,9 @@ from dynaviz.views.read.reader import KINDS, AnyRecording, RunRecording, read, v
 
 SIZE = (1600, 900)
 BAR = 36  # pixels: height of the viewer's own bar, above the window
-SMALLEST, LARGEST = 200, 7680  # pixels: limits of a window's edge
+# pixels: limits of a window's edge
+SMALLEST = 200
+LARGEST = 7680
 SECONDS_TO_LOAD = 120.0
 SECONDS_OF_MESSAGES = 5.0  # the viewer shows its own messages over the window for this long
 
@@ -43,13 +45,16 @@ def shot(
 
     Args:
         recording: the file.
-        out: the picture; with several frames, ``-NUMBER`` is inserted before its suffix. With the suffix ``.mp4``, a
-            clip of ``case`` over its frames, by an eye that frames its box, or in ``view``.
-        frames: positions in the run; if empty, the last one, but of the whole window the case at which the recording
-            opens, if it has cases.
-        view: name of a single view to show (``map``, ``frame``, a state's name); None for the whole window.
+        out: the picture; with several frames, ``-NUMBER`` is inserted before its suffix. With the
+            suffix ``.mp4``, a clip of ``case`` over its frames, by an eye that frames its box, or
+            in ``view``.
+        frames: positions in the run; if empty, the last one, but of the whole window the case at
+            which the recording opens, if it has cases.
+        view: name of a single view to show (``map``, ``frame``, a state's name); None for the whole
+            window.
         size: width and height of the window, in pixels.
-        case: number of a failure case in the recording's list, to show it instead of frames; None for frames.
+        case: number of a failure case in the recording's list, to show it instead of frames; None
+            for frames.
         progress: called with ``render``, the number of finished pictures, and their total number.
 
     Returns:
@@ -64,7 +69,9 @@ def shot(
     viewable(Path(recording))
     source = read(recording)
     if not all(SMALLEST <= edge <= LARGEST for edge in size):
-        raise UsageError(f"--size {size[0]}x{size[1]}: each edge must have {SMALLEST} to {LARGEST} pixels")
+        raise UsageError(
+            f"--size {size[0]}x{size[1]}: each edge must have {SMALLEST} to {LARGEST} pixels"
+        )
     if case is None and not frames and view is None and paths.CASE in _timelines(source):
         case = 1
     if case is None:
@@ -116,7 +123,9 @@ def push(path: Path, client: ViewerClient) -> None:
 
 
 @contextmanager
-def _window(source: AnyRecording, size: tuple[int, int], view: str | None) -> Iterator[ViewerClient]:
+def _window(
+    source: AnyRecording, size: tuple[int, int], view: str | None
+) -> Iterator[ViewerClient]:
     """A viewer that shows a recording, without the messages that it shows at first."""
     with viewer.headless((size[0], size[1] + BAR * (view is None))) as client:
         start = time.monotonic()
@@ -137,18 +146,32 @@ def _frames(
     span = source.span or range(1)
     frames = tuple(frames) or (span[-1],)
     if wrong := [frame for frame in frames if frame not in span]:
-        raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames {span[0]} to {span[-1]}")
-    files = [out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}") for frame in frames]
+        raise UsageError(
+            f"--frame {wrong[0]}: {source.path} has the frames {span[0]} to {span[-1]}"
+        )
+    files = [
+        out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}")
+        for frame in frames
+    ]
     with _window(source, size, view) as client:
-        for file, png in zip(files, _at_frames(client, frames, _picture(client, view), progress), strict=True):
+        for file, png in zip(
+            files, _at_frames(client, frames, _picture(client, view), progress), strict=True
+        ):
             write_atomic(file, png)
     return files
 
 
 def _case(
-    source: RunRecording, out: Path, case: int, span: clip.CaseSpan, view: str | None, size: tuple[int, int]
+    source: RunRecording,
+    out: Path,
+    case: int,
+    span: clip.CaseSpan,
+    view: str | None,
+    size: tuple[int, int],
 ) -> list[Path]:
-    """A picture of a case: at its place on the timeline of cases, or of its worst frame without such a timeline."""
+    """A picture of a case: at its place on the timeline of cases, or of its worst frame without
+    such a timeline.
+    """
     with _window(source, size, view) as client:
         picture = _picture(client, view)
         if paths.CASE in _timelines(source):
@@ -163,17 +186,22 @@ def _timelines(source: AnyRecording) -> set[str]:
     return {column.name for column in source.store.schema().index_columns()}
 
 
-def _difference(source: AnyRecording, out: Path, case: int, view: str | None, size: tuple[int, int]) -> list[Path]:
+def _difference(
+    source: AnyRecording, out: Path, case: int, view: str | None, size: tuple[int, int]
+) -> list[Path]:
     """A picture of a case of a comparison."""
     count = sum(1 for _ in source.rows(CASE_TEXT, paths.CASE))
     if not count:
         raise UsageError(
-            f"--case {case}: {source.path} contains {KINDS[source.kind]}, which has no cases. Give --frame"
+            f"--case {case}: {source.path} contains {KINDS[source.kind]}, which has no cases. Give "
+            "--frame"
         )
     if not 1 <= case <= count:
         raise UsageError(f"--case {case}: {source.path} has the cases 1 to {count}")
     if out.suffix.lower() == ".mp4":
-        raise UsageError(f"--clip {out}: {source.path} contains a comparison. Give the run.rrd of a run")
+        raise UsageError(
+            f"--clip {out}: {source.path} contains a comparison. Give the run.rrd of a run"
+        )
     with _window(source, size, view) as client:
         picture = _picture(client, view)
         _go_to(client, paths.CASE, case)
@@ -181,7 +209,9 @@ def _difference(source: AnyRecording, out: Path, case: int, view: str | None, si
     return [out]
 
 
-def _at_frames(client: ViewerClient, frames: Sequence[int], picture: Picture, progress: Progress) -> Iterator[bytes]:
+def _at_frames(
+    client: ViewerClient, frames: Sequence[int], picture: Picture, progress: Progress
+) -> Iterator[bytes]:
     """A PNG of each frame."""
     for done, frame in enumerate(frames, 1):
         _go_to(client, paths.FRAME, frame)
@@ -208,7 +238,10 @@ def _picture(client: ViewerClient, view: str | None) -> Picture:
 
 
 def _go_to(client: ViewerClient, timeline: str, index: int) -> None:
-    """Move the time cursor, and draw once: data may be missing in the first picture after a jump."""
+    """Move the time cursor, and draw once.
+
+    Data may be missing in the first picture after a jump.
+    """
     viewer.patient(lambda: client.set_time(timeline, sequence=index, play_state="paused"))
     _drawn(client)
 

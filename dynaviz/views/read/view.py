@@ -16,17 +16,21 @@ from dynaviz.views import viewer
 from dynaviz.views.read.reader import viewable
 
 
-def view(recordings: Iterable[str | os.PathLike[str]], web: bool = False, port: int | None = None) -> None:
+def view(
+    recordings: Iterable[str | os.PathLike[str]], web: bool = False, port: int | None = None
+) -> None:
     """Open recordings.
 
     Args:
         recordings: the files.
         web: serve them to a browser on this machine until interrupted, instead of opening a window.
-        port: of the page on this machine; the recordings are served at the port after it. None for any free ones.
+        port: of the page on this machine; the recordings are served at the port after it. None for
+            any free ones.
 
     Raises:
         DataError: for a file that cannot be opened.
-        UsageError: if a window is requested and there is no screen, for a port without ``web``, or one that is in use.
+        UsageError: if a window is requested and there is no screen, for a port without ``web``, or
+            one that is in use.
         DynavizError: if the viewer ends before it is ready.
     """
     if port is not None and not web:
@@ -63,13 +67,19 @@ def ports(page: int | None) -> tuple[int, int]:
             try:
                 probe.bind((viewer.HOME, port))
             except (OSError, OverflowError) as error:
-                raise UsageError(f"--port {page}: port {port} cannot be used ({error}). Give another one") from None
+                raise UsageError(
+                    f"--port {page}: port {port} cannot be used ({error}). Give another one"
+                ) from None
     return page, page + 1
 
 
 @contextlib.contextmanager
-def serving(port: int | None, *recordings: Path) -> Iterator[tuple[int, tuple[str, str], subprocess.Popen[bytes]]]:
-    """A viewer in a browser on this machine; yields the port for recordings, what to announce, and the process.
+def serving(
+    port: int | None, *recordings: Path
+) -> Iterator[tuple[int, tuple[str, str], subprocess.Popen[bytes]]]:
+    """A viewer in a browser on this machine.
+
+    Yields the port for recordings, what to announce, and the process.
 
     Args:
         port: of the page; that for recordings is the next one. None for any free ones.
@@ -82,14 +92,18 @@ def serving(port: int | None, *recordings: Path) -> Iterator[tuple[int, tuple[st
     page, inlet = ports(port)
     address = viewer.page_url(page, inlet)
     command = [
-        viewer.program(), *map(str, recordings), "--serve-web", f"--bind={viewer.HOME}", f"--port={inlet}",
+        viewer.program(), *map(str, recordings), "--serve-web", f"--bind={viewer.HOME}",
+        f"--port={inlet}",
         f"--web-viewer-port={page}", *([] if recordings else ["--server-memory-limit=1GB"]),
     ]  # fmt: skip
     with contextlib.ExitStack() as stack:
         output = stack.enter_context(tempfile.TemporaryFile())
         server = stack.enter_context(
-            # Without recordings in a session of its own: Ctrl-C ends the live recording first, and then the viewer.
-            subprocess.Popen(command, stdout=output, stderr=output, start_new_session=not recordings)
+            # Without recordings in a session of its own: Ctrl-C ends the live recording first, and
+            # then the viewer.
+            subprocess.Popen(
+                command, stdout=output, stderr=output, start_new_session=not recordings
+            )
         )
         try:
             for each in (inlet, page):
@@ -98,7 +112,8 @@ def serving(port: int | None, *recordings: Path) -> Iterator[tuple[int, tuple[st
                 webbrowser.open(address)
             yield inlet, (
                 f"Watch it in a browser on this machine at {address}",
-                f"From another machine, run '{tunnel(page, inlet)}' there and open the same address.",
+                f"From another machine, run '{tunnel(page, inlet)}' there and open the same "
+                "address.",
             ), server  # fmt: skip
         finally:
             server.terminate()

@@ -1,4 +1,7 @@
-"""Which points or voxels of a state are drawn if there are too many: all around errors, fewer elsewhere."""
+"""Which points or voxels of a state are drawn if there are too many.
+
+All around errors, fewer elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, I64, Bool
 from dynaviz.contracts.scan import Label, Scan
 
-REACH = np.array([60.0, 60.0, 30.0])  # metres from the sensor along each axis: the part of a state that is drawn
+# metres from the sensor along each axis: the part of a state that is drawn
+REACH = np.array([60.0, 60.0, 30.0])
 CELL = 1.0  # metres: edge of the cells around errors
 SHARE = 0.5  # of the budget, at most, for what lies around errors
 NEAR = 8.0  # metres: beyond twice this range, the rest is thinned more
@@ -25,11 +29,14 @@ class Budget:
     Args:
         scan: the scan; what lies around its true dynamic points is drawn first, if it has labels.
         most: number of points or voxels of a state, at most.
-        errors: (K, 3) float32, metres, world frame: wrong points, drawn around first too; None if not known yet.
+        errors: (K, 3) float32, metres, world frame: wrong points, drawn around first too; None if
+            not known yet.
     """
 
     def __init__(self, scan: Scan, most: int, errors: F32 | None = None) -> None:
-        self._most, self._centre, self._corner = most, scan.position.copy(), scan.position - REACH
+        self._most = most
+        self._centre = scan.position.copy()
+        self._corner = scan.position - REACH
         self._interest: Bool = np.zeros(_SHAPE, np.bool_)
         if scan.labels is not None:
             self._mark(scan.points[scan.labels == Label.DYNAMIC])
@@ -41,25 +48,35 @@ class Budget:
         points = kernels.as_readonly(xyz, np.float32)
         first, others = kernels.thinning.split(points, self._corner, CELL, self._interest)
         if len(first) + len(others) > self._most:
-            first = self._fitted(points, first, max(int(SHARE * self._most), self._most - len(others)))
+            first = self._fitted(
+                points, first, max(int(SHARE * self._most), self._most - len(others))
+            )
             others = self._fitted(points, others, self._most - len(first))
         return np.sort(np.concatenate([first, others]))
 
     def _fitted(self, points: F32, rows: I64, room: int) -> I64:
         """At most ``room`` of these rows, spread evenly over the places."""
-        excess, size = len(rows) / max(room, 1), FINE
+        excess = len(rows) / max(room, 1)
+        size = FINE
         for _ in range(ROUNDS):
             if excess <= 1:
                 return rows
             size *= max(1.2, float(np.sqrt(excess)))  # the number of cells falls with the square
             share = min(1.0, ENOUGH * room / len(rows))
-            kept, complete = kernels.thinning.thinned(points, rows, self._centre, size, NEAR, MORE * room, share)
+            kept, complete = kernels.thinning.thinned(
+                points, rows, self._centre, size, NEAR, MORE * room, share
+            )
             if complete:
-                rows, excess = kept, len(kept) / max(room, 1)
+                rows = kept
+                excess = len(kept) / max(room, 1)
             else:
                 excess = 2.0
-        return rows if len(rows) <= room else rows[np.linspace(0, len(rows) - 1, room).astype(np.intp)]
+        return (
+            rows if len(rows) <= room else rows[np.linspace(0, len(rows) - 1, room).astype(np.intp)]
+        )
 
     def _mark(self, points: F32) -> None:
         """Mark the cells of points, and those around them."""
-        kernels.thinning.mark(kernels.as_readonly(points, np.float32), self._corner, CELL, self._interest)
+        kernels.thinning.mark(
+            kernels.as_readonly(points, np.float32), self._corner, CELL, self._interest
+        )

@@ -1,7 +1,8 @@
 """The timeline ``case``: an arrow key flies from case to case, each shown as in its worst frame.
 
-At the index of a case: its box, the scan and the states as they were drawn in its worst frame, the rays that touched
-it, and a text. On the timeline of frames, the box and the text are those of the costliest case in the frame.
+At the index of a case: its box, the scan and the states as they were drawn in its worst frame, the
+rays that touched it, and a text. On the timeline of frames, the box and the text are those of the
+costliest case in the frame.
 """
 
 from __future__ import annotations
@@ -27,7 +28,11 @@ from dynaviz.views.record.sink import RecordingFile
 
 NEAR = 25.0  # metres from the middle of a case: the part of a state that is shown with it
 SCENE = 40.0  # metres: the part of the scan
-AROUND = (7.0, 13.0)  # metres: radius of the circle around a case; the eye tracks it, and its size sets the distance
+# metres: radius of the circle around a case; the eye tracks it, and its size sets the distance
+AROUND = (
+    7.0,
+    13.0,
+)
 AIM_LINES = 3
 BACK = 11.0  # metres: the same for the frame around the line from the sensor to the case
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
@@ -53,7 +58,9 @@ class CaseTimeline:
     """
 
     def __init__(self, sink: RecordingFile, info: MethodInfo, cases: Sequence[ShownCase]) -> None:
-        self._sink, self._info, self._cases = sink, info, cases
+        self._sink = sink
+        self._info = info
+        self._cases = cases
 
     def write_texts(self) -> None:
         """The texts alone, for recordings without coordinates."""
@@ -63,23 +70,33 @@ class CaseTimeline:
             self._lanes(case, ())
 
     def write_curves(self, scores: Mapping[str, float | None]) -> None:
-        """What each case costs, and the scores if the cases up to each were right, as curves over the cases.
+        """What each case costs, and the scores if the cases up to each were right, as curves over
+        the cases.
 
         Args:
             scores: of the run, in percent.
         """
         numbers = [case.number for case in self._cases]
         for name in sorted({name for case in self._cases for name in case.lost}):
-            lost, score = [case.lost.get(name, np.nan) for case in self._cases], scores.get(name)
+            lost = [case.lost.get(name, np.nan) for case in self._cases]
+            score = scores.get(name)
             colour = colours.SCORES.get(name, colours.NEUTRAL)
-            path, label = f"{paths.CASE_COST}/{name}", "removed points" if name == POINTS else f"% of {name} lost"
+            path = f"{paths.CASE_COST}/{name}"
+            label = "removed points" if name == POINTS else f"% of {name} lost"
             self._sink.log(
-                path, rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=4, names=label), static=True
+                path,
+                rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=4, names=label),
+                static=True,
             )
             self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=lost))
             if score is not None:
-                path, fixed = f"{paths.CASE_SCORE}/{name}", score + np.nancumsum(lost)
-                self._sink.log(path, rr.SeriesLines(colors=colour, widths=1.5, names=f"{name} if fixed"), static=True)
+                path = f"{paths.CASE_SCORE}/{name}"
+                fixed = score + np.nancumsum(lost)
+                self._sink.log(
+                    path,
+                    rr.SeriesLines(colors=colour, widths=1.5, names=f"{name} if fixed"),
+                    static=True,
+                )
                 self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=fixed))
 
     def draw(
@@ -94,17 +111,22 @@ class CaseTimeline:
             boxes: of the cases, by frame.
 
         Returns:
-            Of the first case: the state that shows most about it, None if no state was drawn there; and by path, the
-            lines that cameras track.
+            Of the first case: the state that shows most about it, None if no state was drawn there;
+            and by path, the lines that cameras track.
         """
         states = [f"{paths.WORLD}/{self._info.name}/**", f"{self._info.name}/**"]
         drawn_boxes = [paths.FAILURES, paths.CLUSTERS]
         contents = [paths.SCAN, paths.SENSOR, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
         self._styles()
-        asked = [points_of(case, rows.get((paths.SCAN, case.frame)), members) for case in self._cases]
-        ledgers = replay([(case.frame, points) for case, points in zip(self._cases, asked, strict=True)])
-        room, deciding = stored_ledgers.MOST_BYTES, []
+        asked = [
+            points_of(case, rows.get((paths.SCAN, case.frame)), members) for case in self._cases
+        ]
+        ledgers = replay(
+            [(case.frame, points) for case, points in zip(self._cases, asked, strict=True)]
+        )
+        room = stored_ledgers.MOST_BYTES
+        deciding = []
         for case, found in zip(self._cases, ledgers, strict=True):
             self._sink.at_case(case.number)
             here = {path: row for (path, frame), row in rows.items() if frame == case.frame}
@@ -123,7 +145,9 @@ class CaseTimeline:
                 if case.number <= PICTURES or path.startswith(paths.WORLD)
             )
         self._by_frame(sensor, boxes)
-        return deciding[0], _tracked(self._cases[0].low, self._cases[0].high, sensor[self._cases[0].frame])
+        return deciding[0], _tracked(
+            self._cases[0].low, self._cases[0].high, sensor[self._cases[0].frame]
+        )
 
     def _deciding(self, here: dict[str, drawn.Row], case: ShownCase) -> str | None:
         """The name of the state with the largest share of its points or voxels in a case."""
@@ -133,7 +157,10 @@ class CaseTimeline:
 
     def _outline(self, label: str, outcome: Outcome, low: F64, high: F64, sensor: F64) -> None:
         box = rr.Boxes3D.from_fields(
-            centers=[(low + high) / 2], half_sizes=[(high - low) / 2], labels=[label], colors=[colours.BRIGHT[outcome]]
+            centers=[(low + high) / 2],
+            half_sizes=[(high - low) / 2],
+            labels=[label],
+            colors=[colours.BRIGHT[outcome]],
         )
         self._sink.log(paths.CASE_BOX, box)
         self._sink.log(
@@ -145,18 +172,26 @@ class CaseTimeline:
 
     def _styles(self) -> None:
         """What is the same for all cases."""
-        log, lines = self._sink.log, rr.LineStrips3D.from_fields
+        log = self._sink.log
+        lines = rr.LineStrips3D.from_fields
         box = rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=False)
         log(paths.CASE_BOX, box, static=True)
         log(paths.CASE_NAME, NAME_STYLE, static=True)
         log(paths.CASE_AROUND, lines(colors=[90, 90, 100], radii=THIN), static=True)
         log(paths.CASE_AIM, lines(colors=[70, 70, 80], radii=THIN), static=True)
         legend = [(kind, name, colours.RAYS[kind]) for kind, name in witnesses.NAMES.items()]
-        log(paths.CASE_RAYS, rr.AnnotationContext(legend), lines(radii=RAYS, show_labels=False), static=True)
+        log(
+            paths.CASE_RAYS,
+            rr.AnnotationContext(legend),
+            lines(radii=RAYS, show_labels=False),
+            static=True,
+        )
 
     def _rays(self, rays: witnesses.TouchingRays) -> None:
         kinds = rays.kinds.astype(np.uint16)
-        self._sink.log(paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=rays.strips, class_ids=kinds))
+        self._sink.log(
+            paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=rays.strips, class_ids=kinds)
+        )
 
     def _lanes(self, case: ShownCase, ledgers: Sequence[PointLedger]) -> None:
         """The object or place of a case over time; on the timeline of frames."""
@@ -165,7 +200,9 @@ class CaseTimeline:
         spans = {**case.spans, **witnesses.spans_of_rays(ledgers)}
         parts = {name: lane(spans, name) for name in LANES}
         ghost = case.outcome == Outcome.FALSE_NEGATIVE
-        for path, style, frames, states in object_lanes.lanes(case.number, case.title, ghost, parts):
+        for path, style, frames, states in object_lanes.lanes(
+            case.number, case.title, ghost, parts
+        ):
             self._sink.log(path, style, static=True)
             self._sink.columns(path, frames, [None], states)
 
@@ -177,21 +214,31 @@ class CaseTimeline:
         rows = np.lexsort((boxes.case, boxes.frames))
         rows = rows[boxes.case[rows] < len(self._cases)]
         frames, first = np.unique(boxes.frames[rows], return_index=True)
-        rows, cases = rows[first], [self._cases[case] for case in boxes.case[rows[first]]]
-        low, high = boxes.box_low[rows].astype(np.float64), boxes.box_high[rows].astype(np.float64)
-        middle, size = (low + high) / 2, high - low
+        rows = rows[first]
+        cases = [self._cases[case] for case in boxes.case[rows]]
+        low = boxes.box_low[rows].astype(np.float64)
+        high = boxes.box_high[rows].astype(np.float64)
+        middle = (low + high) / 2
+        size = high - low
         box = rr.Boxes3D.columns(
             centers=middle, half_sizes=size / 2, labels=[case.label for case in cases],
             colors=[colours.BRIGHT[case.outcome] for case in cases],
         )  # fmt: skip
-        names = rr.Points3D.columns(positions=above(low, high), labels=[case.label for case in cases])
+        names = rr.Points3D.columns(
+            positions=above(low, high), labels=[case.label for case in cases]
+        )
         aims = rr.LineStrips3D.columns(strips=_aims(sensor[frames], middle))
         self._sink.columns(paths.CASE_BOX, frames.tolist(), [None], box)
         self._sink.columns(paths.CASE_NAME, frames.tolist(), [None], names)
         self._sink.columns(
-            paths.CASE_AROUND, frames.tolist(), [None], rr.LineStrips3D.columns(strips=circles(low, high))
+            paths.CASE_AROUND,
+            frames.tolist(),
+            [None],
+            rr.LineStrips3D.columns(strips=circles(low, high)),
         )
-        self._sink.columns(paths.CASE_AIM, frames.tolist(), [None], aims.partition([AIM_LINES] * len(frames)))
+        self._sink.columns(
+            paths.CASE_AIM, frames.tolist(), [None], aims.partition([AIM_LINES] * len(frames))
+        )
         last = None
         for frame, case in zip(frames.tolist(), cases, strict=True):
             if case is not last:
@@ -207,7 +254,10 @@ def see(info: MethodInfo, state: str | None) -> str:
         return f"- **State**: the tab *{state}* shows this place: {meaning[state]}.\n"
     if any(issubclass(known.kind, paths.FLAT) for known in info.emits):
         return "- **State**: pictures of what the method saw, in the tabs next to the frame.\n"
-    none = "- **State**: none was recorded here, because it is too far from the sensor or nothing was found.\n"
+    none = (
+        "- **State**: none was recorded here, because it is too far from the sensor or nothing was "
+        "found.\n"
+    )
     return none if meaning else ""
 
 
@@ -238,19 +288,29 @@ def _radius(low: F64, high: F64) -> F64:
 
 
 def _aims(sensor: F64, middle: F64) -> F32:
-    """(3 N, 2, 3): a line from the sensor to each case, and two specks that keep an eye that tracks them away."""
-    centre, reach = (sensor + middle) / 2, np.array([BACK, BACK, 0.0])
+    """(3 N, 2, 3): a line from the sensor to each case, and two specks that keep an eye that tracks
+    them away.
+    """
+    centre = (sensor + middle) / 2
+    reach = np.array([BACK, BACK, 0.0])
     specks = [np.stack([end, end + 0.01], 1) for end in (centre - reach, centre + reach)]
-    lines: F32 = np.stack([np.stack([sensor, middle], 1), *specks], 1).astype(np.float32).reshape(-1, 2, 3)
+    lines: F32 = (
+        np.stack([np.stack([sensor, middle], 1), *specks], 1).astype(np.float32).reshape(-1, 2, 3)
+    )
     return lines
 
 
 def points_of(case: ShownCase, scan: drawn.Row | None, members: Members) -> list[int]:
-    """Rows in the scan of a case's worst frame: its middle point, and others that are spread over it."""
+    """Rows in the scan of a case's worst frame.
+
+    Its middle point, and others that are spread over it.
+    """
     if scan is None or (xyz := drawn.positions(scan)) is None or not len(xyz):
         return []
     inside = ((xyz >= case.low - 0.01) & (xyz <= case.high + 0.01)).all(1)
-    mine = np.flatnonzero(inside & (classes.outcomes(drawn.values(scan, "Points3D:class_ids")) == case.outcome))
+    mine = np.flatnonzero(
+        inside & (classes.outcomes(drawn.values(scan, "Points3D:class_ids")) == case.outcome)
+    )
     if not len(mine):
         return []
     rows = (

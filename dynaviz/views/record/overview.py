@@ -1,4 +1,7 @@
-"""The overview of a run on tiles: tiles coloured by error, the worst ones ranked, the trajectory and a coarse map."""
+"""The overview of a run on tiles.
+
+Tiles coloured by error, the worst ones ranked, the trajectory and a coarse map.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,9 @@ from dynaviz.views.record.downsampling import DownsampledMap, by_outcome
 from dynaviz.views.record.report import table
 from dynaviz.views.record.sink import RecordingFile
 
-TILES, WORST, RANKING = "world/tiles", "world/worst_tiles", "ranking"
+TILES = "world/tiles"
+WORST = "world/worst_tiles"
+RANKING = "ranking"
 NAMED = 10  # worst tiles with a number in the map
 LISTED = 40  # tiles in the ranking
 VOXEL = 1.0  # metres: edge of the voxels of the map
@@ -36,7 +41,8 @@ POINTS = {  # of the map, at most, by outcome
     Outcome.FALSE_NEGATIVE: 30_000,
     Outcome.UNLABELLED_REMOVED: 30_000,
 }
-BELOW = 1.0  # metres: tiles are drawn this far below the lowest sensor position, minus its height of some 2 m
+# metres: tiles are drawn this far below the lowest sensor position, minus its height of some 2 m
+BELOW = 1.0
 GAP = 0.02  # of a tile's edge: a gap between tiles
 STEP = 2.0  # metres between two points of the trajectory
 ERRORS = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)
@@ -60,13 +66,18 @@ class Overview(Listener):
     """
 
     def __init__(self, path: Path, counts: CountsByTile) -> None:
-        self._path, self._counts = path, counts
+        self._path = path
+        self._counts = counts
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Prepare the map."""
         self._run = run
-        self._middle: F32 = np.round((summary.extent.low + summary.extent.high) / 2).astype(np.float32)
-        self._maps = {kind: DownsampledMap(VOXEL, most, self._middle) for kind, most in POINTS.items()}
+        self._middle: F32 = np.round((summary.extent.low + summary.extent.high) / 2).astype(
+            np.float32
+        )
+        self._maps = {
+            kind: DownsampledMap(VOXEL, most, self._middle) for kind, most in POINTS.items()
+        }
         self._way: list[F64] = []
         self._frames: list[int] = []
 
@@ -87,23 +98,35 @@ class Overview(Listener):
         Raises:
             DataError: if it cannot be written.
         """
-        info, name = self._run.labeller.info, self._run.sequence.name
+        info = self._run.labeller.info
+        name = self._run.sequence.name
         kinds = ERRORS if result.has_truth else REMOVED
         ranked = ranking(self._counts.outcomes, kinds)
         title = f"{info.title} on {name}: {len(ranked)} tiles"
         layout = _layout(self._corners(), result.has_truth)
         sink = RecordingFile(self._path, f"dynaviz overview {info.name} {name}", title, layout)
-        facts = {"schema": paths.SCHEMA, "title": title, "sequence": name, "frames": result.sequence.frames}
+        facts = {
+            "schema": paths.SCHEMA,
+            "title": title,
+            "sequence": name,
+            "frames": result.sequence.frames,
+        }
         sink.properties(paths.OVERVIEW, **facts)
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for outcome, downsampled in self._maps.items():
             points, _ = downsampled.thinned()
-            radius = rr.Radius.ui_points(1.0 if outcome in (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT) else 2.5)
+            radius = rr.Radius.ui_points(
+                1.0 if outcome in (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT) else 2.5
+            )
             cloud = rr.Points3D(points, colors=colours.BRIGHT[outcome], radii=radius)
             sink.log(f"{paths.MAP}/{outcome.name.lower()}", cloud, static=True)
-        sink.log(paths.TRAJECTORY, rr.LineStrips3D([self._way], colors=[240, 240, 240]), static=True)
+        sink.log(
+            paths.TRAJECTORY, rr.LineStrips3D([self._way], colors=[240, 240, 240]), static=True
+        )
         here = rr.Points3D.columns(
-            positions=self._way, colors=[colours.LABEL] * len(self._way), radii=[-4.0] * len(self._way)
+            positions=self._way,
+            colors=[colours.LABEL] * len(self._way),
+            radii=[-4.0] * len(self._way),
         )
         sink.columns(paths.SENSOR, self._frames, [None], here)
         self._draw_tiles(sink, ranked, kinds)
@@ -115,19 +138,30 @@ class Overview(Listener):
         """(N, 3) float64, metres: the tiles' corners, at the height of the sensor."""
         low = np.array(sorted(self._counts.outcomes), np.float64).reshape(-1, 2) * self._counts.size
         corners = np.concatenate([low, low + self._counts.size])
-        return np.column_stack([corners, np.full(len(corners), np.median([place[2] for place in self._way]))])
+        return np.column_stack(
+            [corners, np.full(len(corners), np.median([place[2] for place in self._way]))]
+        )
 
-    def _draw_tiles(self, sink: RecordingFile, ranked: list[tuple[int, int]], kinds: Iterable[Outcome]) -> None:
+    def _draw_tiles(
+        self, sink: RecordingFile, ranked: list[tuple[int, int]], kinds: Iterable[Outcome]
+    ) -> None:
         """A square per tile in the colour of its errors, and the ranks of the worst ones."""
-        edge, height = self._counts.size, float(np.min(self._way, axis=0)[2]) - 1.73 - BELOW
+        edge = self._counts.size
+        height = float(np.min(self._way, axis=0)[2]) - 1.73 - BELOW
         low = np.array([(x * edge, y * edge, height) for x, y in ranked])
         errors = np.array([_sum(self._counts.outcomes[tile], kinds) for tile in ranked], np.float64)
         shares = np.log1p(errors) / max(float(np.log1p(errors.max(initial=0.0))), 1e-9)
-        corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]) * (1 - 2 * GAP) + [GAP, GAP, 0]
+        corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]) * (1 - 2 * GAP) + [
+            GAP,
+            GAP,
+            0,
+        ]
         shades = keys.coloured(shares.astype(np.float32))
         squares = rr.Mesh3D(
             vertex_positions=(low[:, None] + corners * edge).reshape(-1, 3),
-            triangle_indices=(4 * np.arange(len(low))[:, None, None] + [(0, 1, 2), (0, 2, 3)]).reshape(-1, 3),
+            triangle_indices=(
+                4 * np.arange(len(low))[:, None, None] + [(0, 1, 2), (0, 2, 3)]
+            ).reshape(-1, 3),
             vertex_colors=np.repeat(shades, 4, axis=0),
         )
         sink.log(TILES, squares, static=True)
@@ -141,17 +175,22 @@ class Overview(Listener):
         )
         sink.log(WORST, names, static=True)
 
-    def _text(self, result: Result, ranked: list[tuple[int, int]], kinds: tuple[Outcome, ...]) -> str:
+    def _text(
+        self, result: Result, ranked: list[tuple[int, int]], kinds: tuple[Outcome, ...]
+    ) -> str:
         """The scores, and the ranking with the command that opens each tile."""
         what = "wrong" if result.has_truth else "removed"
         scores = ", ".join(f"{k} {v:.2f}" for k, v in result.metrics.items() if v is not None)
         total = sum(_sum(count, kinds) for count in self._counts.outcomes.values())
-        rows: list[tuple[Any, ...]] = [("#", "tile", f"{what} points", "% of all", "% of tile", "points")]
+        rows: list[tuple[Any, ...]] = [
+            ("#", "tile", f"{what} points", "% of all", "% of tile", "points")
+        ]
         head = f"### {result.method} on {result.sequence.name}\n\n{scores}\n\n" if scores else ""
         listed = [tile for tile in ranked if _sum(self._counts.outcomes[tile], kinds)]
         for rank, tile in enumerate(listed[:LISTED], 1):
             count = self._counts.outcomes[tile]
-            here, points = _sum(count, kinds), int(count[_LABELLED].sum() if result.has_truth else count.sum())
+            here = _sum(count, kinds)
+            points = int(count[_LABELLED].sum() if result.has_truth else count.sum())
             shares = (f"{100 * here / max(total, 1):.1f}", f"{100 * here / max(points, 1):.2f}")
             rows.append((rank, f"`{tile[0]}_{tile[1]}`", f"{here:,}", *shares, f"{points:,}"))
         first = "{}_{}".format(*ranked[0]) if ranked else "X_Y"
@@ -159,10 +198,15 @@ class Overview(Listener):
         key = f"Tiles are bright where many points are {what}. Numbers mark the {NAMED} worst."
         if none := len(ranked) - len(listed):
             key += f" {none:,} of {len(ranked):,} tiles have no {what} points."
-        return f"{head}{key}\n\nOpen the recording of a tile with:\n\n`dynaviz view {folder}`\n\n{table(rows)}"
+        return (
+            f"{head}{key}\n\nOpen the recording of a tile with:\n\n`dynaviz view "
+            f"{folder}`\n\n{table(rows)}"
+        )
 
 
-def ranking(outcomes: Mapping[tuple[int, int], I64], kinds: Iterable[Outcome]) -> list[tuple[int, int]]:
+def ranking(
+    outcomes: Mapping[tuple[int, int], I64], kinds: Iterable[Outcome]
+) -> list[tuple[int, int]]:
     """The tiles, those with the most points of some outcomes first."""
     kinds = tuple(kinds)
     return sorted(outcomes, key=lambda tile: (-_sum(outcomes[tile], kinds), tile))
@@ -175,6 +219,8 @@ def _sum(count: I64, kinds: Iterable[Outcome]) -> int:
 def _layout(corners: F64, truth: bool) -> rrb.Blueprint:
     title = "tiles: bright = many wrong points" if truth else "tiles: bright = many removed points"
     tiles = solid(title, [TILES, WORST, paths.TRAJECTORY, paths.SENSOR], above(corners))
-    points = solid("map", [f"{paths.MAP}/**", WORST, paths.TRAJECTORY, paths.SENSOR], above(corners))
+    points = solid(
+        "map", [f"{paths.MAP}/**", WORST, paths.TRAJECTORY, paths.SENSOR], above(corners)
+    )
     words = rrb.TextDocumentView(name="worst tiles", origin=RANKING)
     return blueprint(rrb.Horizontal(rrb.Vertical(tiles, points), words, column_shares=[5, 3]))

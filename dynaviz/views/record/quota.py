@@ -1,4 +1,7 @@
-"""How much of a recording fits into a number of bytes: states are left out first, then drawn points."""
+"""How much of a recording fits into a number of bytes.
+
+States are left out first, then drawn points.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,17 @@ import re
 from dynaviz.errors import UsageError
 
 _UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-ANSWER = 1.0  # bytes of the label, ground truth, reason and range band of a point, compressed; on simulated scans
+# bytes of the label, ground truth, reason and range band of a point, compressed; on simulated scans
+ANSWER = 1.0
 DRAWN = 1.0  # bytes per point of the sequence for the drawn points of frames
 TEXTS = 1_000_000  # bytes of texts, curves and layout
-MAP, MAPPED = 5.0, 550_000  # bytes per point of the map of the whole run, and its points at most
+# bytes per point of the map of the whole run, and its points at most
+MAP = 5.0
+MAPPED = 550_000
 CASES = 20  # with the scan and the states of their worst frame
-CASE, CASE_STATES = 1.6, 80_000  # bytes of a case: per point of its scan, and of its states
+# bytes of a case: per point of its scan, and of its states
+CASE = 1.6
+CASE_STATES = 80_000
 
 
 class Quota:
@@ -24,9 +32,14 @@ class Quota:
         two_passes: whether all scans are observed before the first one is labelled.
     """
 
-    def __init__(self, budget: int | None, points: int, frames: int, two_passes: bool = True) -> None:
-        self._budget, self._points, self._frames = budget, points, max(frames, 1)
-        self._first, self._answered = 0.5 if two_passes else 0.0, 0
+    def __init__(
+        self, budget: int | None, points: int, frames: int, two_passes: bool = True
+    ) -> None:
+        self._budget = budget
+        self._points = points
+        self._frames = max(frames, 1)
+        self._first = 0.5 if two_passes else 0.0
+        self._answered = 0
         self._fixed = fixed(points, self._frames)
 
     def answered(self, points: int) -> None:
@@ -55,8 +68,13 @@ class Quota:
 
 
 def fixed(points: int, frames: int) -> float:
-    """Bytes of what follows the frames, at most: the map of the whole run, cases, texts and layout."""
-    return TEXTS + MAP * min(points, MAPPED) + CASES * (CASE * points / max(frames, 1) + CASE_STATES)
+    """Bytes of what follows the frames, at most.
+
+    The map of the whole run, cases, texts and layout.
+    """
+    return (
+        TEXTS + MAP * min(points, MAPPED) + CASES * (CASE * points / max(frames, 1) + CASE_STATES)
+    )
 
 
 def parse_bytes(text: str) -> int:

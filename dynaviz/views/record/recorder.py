@@ -45,17 +45,18 @@ STATES_PENDING = 0.5  # seconds between writes of states to the file
 class Recorder(Listener):
     """Writes the recording of a run; a listener of the run and the probe of its method.
 
-    ``with Recorder("run.rrd") as recorder: execute(run, listeners=[recorder], probe=recorder)``. The file appears when
-    the run finishes. If the run ends early, ``.run.rrd.part`` in the same folder contains every frame so far; if it is
-    killed, all but the last labelled frame and the states of the last half second.
+    ``with Recorder("run.rrd") as recorder: execute(run, listeners=[recorder], probe=recorder)``.
+    The file appears when the run finishes. If the run ends early, ``.run.rrd.part`` in the same
+    folder contains every frame so far; if it is killed, all but the last labelled frame and the
+    states of the last half second.
 
     Args:
         path: the recording.
-        mode: ``errors`` draws wrong and dynamic points, ``full`` every point, ``scores`` none. All modes store the
-            label, ground truth and reason of every point.
+        mode: ``errors`` draws wrong and dynamic points, ``full`` every point, ``scores`` none. All
+            modes store the label, ground truth and reason of every point.
         live: open a viewer that follows the run; it may be closed at any time.
-        budget: bytes of the file, about; states are left out first, then drawn points. Labels, ground truth and reasons
-            are always stored. None for any size.
+        budget: bytes of the file, about; states are left out first, then drawn points. Labels,
+            ground truth and reasons are always stored. None for any size.
         rows: of a scan of the run, (K,) the points that the recorder is given; None for all.
 
     Raises:
@@ -73,15 +74,20 @@ class Recorder(Listener):
     ):
         if mode not in get_args(RecordMode):
             raise UsageError(f"--record {mode}: choose from {', '.join(get_args(RecordMode))}")
-        self.path, self.mode = Path(path), mode
+        self.path = Path(path)
+        self.mode = mode
         self._port = viewer.open_window() if live else None
         self._sink: sink.RecordingFile | None = None
         self._states: dict[str, State] = {}
         self._queue: list[tuple[State, Value]] = []
-        self._heading, self._guided = keys.Heading(), set[str]()
+        self._heading = keys.Heading()
+        self._guided = set[str]()
         self._outcomes = OutcomeCounts()
-        self._budget, self._quota, self._rows = budget, Quota(budget, 0, 0), rows
-        # Without states, the runtime of the method is reported as honest, so nothing else may run next to it.
+        self._budget = budget
+        self._quota = Quota(budget, 0, 0)
+        self._rows = rows
+        # Without states, the runtime of the method is reported as honest, so nothing else may run
+        # next to it.
         self._background = Background(inline=mode == "scores")
 
     def __enter__(self) -> Recorder:
@@ -93,7 +99,9 @@ class Recorder(Listener):
             self._curves.write()
             self._sink.close()
             if error is not None:
-                error.add_note(f"Salvage what was recorded with: dynaviz info {sink.part_of(self.path)}")
+                error.add_note(
+                    f"Salvage what was recorded with: dynaviz info {sink.part_of(self.path)}"
+                )
 
     def sha256(self) -> str:
         """Digest of the finished recording."""
@@ -104,26 +112,41 @@ class Recorder(Listener):
         return self.mode != "scores" and (self._sink is None or name in self._states)
 
     def emit(self, name: str, value: Value) -> None:
-        """Keep a reference; the state is drawn after the method returns, outside of its measured time."""
+        """Keep a reference; the state is drawn after the method returns, outside of its measured
+        time.
+        """
         if name in self._states:
             self._queue.append((self._states[name], value))
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Open the file and write the properties of the run."""
         info = run.labeller.info
-        self._info, self._run, self._summary, drawn = info, run, summary, self.mode != "scores"
+        self._info = info
+        self._run = run
+        self._summary = summary
+        drawn = self.mode != "scores"
         self._positions: list[F64] = []
-        self._quota = Quota(self._budget, summary.points, summary.frames, run.method is not None and not run.online)
+        self._quota = Quota(
+            self._budget, summary.points, summary.frames, run.method is not None and not run.online
+        )
         self._states = {state.name: state for state in info.emits} if drawn else {}
         solid = sum(issubclass(state.kind, paths.SOLID) for state in info.emits)
         self._most = None if self.mode == "full" else STATE_POINTS // max(solid, 1)
         name = run.sequence.name
         blueprint = layout(info, summary.extent, drawn, Findings(run.sequence.has_labels))
         self._sink = sink.RecordingFile(
-            self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._port
+            self.path,
+            f"dynaviz {info.name} {name}",
+            f"{info.title} on {name}",
+            blueprint,
+            self._port,
         )
         self._curves = Curves(self._sink)
-        self._scene = MapDrawing(self._sink, summary.extent, len(info.reasons), self.mode == "full") if drawn else None
+        self._scene = (
+            MapDrawing(self._sink, summary.extent, len(info.reasons), self.mode == "full")
+            if drawn
+            else None
+        )
         params = dataclasses.asdict(run.params)
         self._sink.properties(**self._facts(run, summary, params), complete=False)
         self._write_legends()
@@ -142,15 +165,21 @@ class Recorder(Listener):
             self._background.run(self._write_states, frame, self._scan, self._taken())
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """Draw the states emitted by ``label``, and write the rest of the frame, in the background."""
+        """Draw the states emitted by ``label``, and write the rest of the frame, in
+        the background.
+        """
         self._stamp_ns = labelled.scan.stamp_ns
         self._positions.append(labelled.scan.position)
         # The method may use its arrays again for the next scan.
-        kept = dataclasses.replace(labelled, dynamic=labelled.dynamic.copy(), reasons=labelled.reasons.copy())
+        kept = dataclasses.replace(
+            labelled, dynamic=labelled.dynamic.copy(), reasons=labelled.reasons.copy()
+        )
         self._background.run(self._write_frame, kept, dict(curves), self._taken())
 
     def _taken(self) -> list[tuple[State, Value]]:
-        """The queued states, with copies of their arrays, because the method may change them during the drawing."""
+        """The queued states, with copies of their arrays, because the method may change them during
+        the drawing.
+        """
         queue = [(state, _copied(value)) for state, value in self._queue]
         self._queue.clear()
         return queue
@@ -161,8 +190,12 @@ class Recorder(Listener):
             self._draw_states(queue, scan)
         self._open.flush(STATES_PENDING if self._budget is None else 0.0)
 
-    def _write_frame(self, labelled: Labelled, curves: Mapping[str, float], queue: list[tuple[State, Value]]) -> None:
-        """Write a frame: its states, its points by outcome, the labels of all points, and the curves."""
+    def _write_frame(
+        self, labelled: Labelled, curves: Mapping[str, float], queue: list[tuple[State, Value]]
+    ) -> None:
+        """Write a frame: its states, its points by outcome, the labels of all points, and the
+        curves.
+        """
         scan = labelled.scan
         self._open.at(labelled.frame, scan.stamp_ns)
         if queue and self._quota.states(self._open.size, labelled.frame, labels=True):
@@ -172,7 +205,9 @@ class Recorder(Listener):
             self._scene.frame(labelled, self._quota.drawing(self._open.size))
         self._quota.answered(len(scan))
         packed = frame_answers.FrameAnswers.of(labelled).packed()
-        self._open.log(paths.ANSWERS, rr.DynamicArchetype(frame_answers.ARCHETYPE, components=packed))
+        self._open.log(
+            paths.ANSWERS, rr.DynamicArchetype(frame_answers.ARCHETYPE, components=packed)
+        )
         wrong = self._outcomes.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
         for path, count in self._counts(labelled, wrong):
             self._curves.add(path, labelled.frame, scan.stamp_ns, count)
@@ -184,14 +219,18 @@ class Recorder(Listener):
         """Write the map, figures, cases and result, close the file, and give it its final name.
 
         Raises:
-            DataError: if the file cannot be written, or a scan cannot be read again for the evidence.
+            DataError: if the file cannot be written, or a scan cannot be read again for the
+                evidence.
         """
         self._background.wait()
         self._open.at(len(self._positions) - 1, self._stamp_ns)
         self._curves.write()
         if self._scene is not None:
             self._scene.finish()
-        shown = {cases.FAILURES: len(cases.listed(result)), cases.CLUSTERS: len(cases.suspicious(result))}
+        shown = {
+            cases.FAILURES: len(cases.listed(result)),
+            cases.CLUSTERS: len(cases.suspicious(result)),
+        }
         for name, figure in figures.items():
             if isinstance(figure, FrameHistograms):
                 self._histogram(paths.histogram(name), figure)
@@ -204,14 +243,18 @@ class Recorder(Listener):
         if not found.truth:
             self._document(paths.REMOVED_TEXT, removed(self._info, result, self._outcomes))
         self._open.layout(layout(self._info, self._summary.extent, self._scene is not None, found))
-        self._say("done: " + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None))
+        self._say(
+            "done: "
+            + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None)
+        )
         self._open.properties(complete=True, result_json=json.dumps(result.to_dict()))
         self._open.finish()
         self._sink = None
 
     def _show_cases(self, result: Result, figures: Mapping[str, Figure]) -> Findings:
         """Write the timeline of cases; returns what the layout needs to know."""
-        truth, curves = self._run.sequence.has_labels, self._outcomes.curves(self._info)
+        truth = self._run.sequence.has_labels
+        curves = self._outcomes.curves(self._info)
         boxes = cases.boxes_of(result, figures)
         shown = [] if boxes is None else cases.shown(result, boxes)
         if boxes is None or not shown:
@@ -228,49 +271,74 @@ class Recorder(Listener):
     def _members(self, case: cases.ShownCase, rows: I64) -> Bool:
         """(K,) bool: which rows of the recorded points in its worst frame belong to a case."""
         scan = self._run.sequence[case.frame]
-        return cases.belong(case.failure, scan, rows if self._rows is None else self._rows(scan)[rows])
+        return cases.belong(
+            case.failure, scan, rows if self._rows is None else self._rows(scan)[rows]
+        )
 
     def _replay(
         self, labels: Sequence[Bool], asked: Sequence[tuple[int, Sequence[int]]]
     ) -> list[tuple[PointLedger, ...]]:
-        """The ledgers of points with these labels; none if the evidence is faulty: that must not cost the recording."""
-        recorded, scans = asked, self._run.sequence
+        """The ledgers of points with these labels; none if the evidence is faulty.
+
+        That must not cost the recording.
+        """
+        recorded = asked
+        scans = self._run.sequence
         if self._rows is not None:
-            asked = [(frame, self._rows(scans[frame])[list(rows)].tolist()) for frame, rows in asked]
+            asked = [
+                (frame, self._rows(scans[frame])[list(rows)].tolist()) for frame, rows in asked
+            ]
         try:
             found, seconds = replay(self._run, self._summary, asked)
             for each in (each for ledgers in found for each in ledgers):
                 if each.removed != labels[each.frame][each.point]:
                     name = self._info.name
-                    raise PluginError(f"{name}: labels point {each.point} of frame {each.frame} differently each time")
+                    raise PluginError(
+                        f"{name}: labels point {each.point} of frame {each.frame} differently each "
+                        "time"
+                    )
         except PluginError as error:
             self._say(f"no evidence: {error}")
             return [()] * len(asked)
         self._open.properties(repeat_s=round(seconds, 3))
         return [
-            tuple(dataclasses.replace(each, point=row, case=case) for each, row in zip(ledgers, rows, strict=True))
+            tuple(
+                dataclasses.replace(each, point=row, case=case)
+                for each, row in zip(ledgers, rows, strict=True)
+            )
             for case, (ledgers, (_, rows)) in enumerate(zip(found, recorded, strict=True), 1)
         ]
 
     @property
     def _open(self) -> sink.RecordingFile:
         if self._sink is None:
-            raise RuntimeError("a recorder records one run: call begin before, and nothing after finish")
+            raise RuntimeError(
+                "a recorder records one run: call begin before, and nothing after finish"
+            )
         return self._sink
 
     def _counts(self, labelled: Labelled, wrong: tuple[int, int]) -> Iterator[tuple[str, int]]:
-        """The recorder's own curves at a frame: wrong points, or without ground truth removed points."""
+        """The recorder's own curves at a frame.
+
+        Wrong points, or without ground truth removed points.
+        """
         if self._run.sequence.has_labels:
             yield from zip(
-                (f"{paths.WRONG}/{kind}" for kind in ("false_negatives", "false_positives")), wrong, strict=True
+                (f"{paths.WRONG}/{kind}" for kind in ("false_negatives", "false_positives")),
+                wrong,
+                strict=True,
             )
             return
-        by_reason = np.bincount(labelled.reasons[labelled.dynamic], minlength=len(self._info.reasons))
+        by_reason = np.bincount(
+            labelled.reasons[labelled.dynamic], minlength=len(self._info.reasons)
+        )
         yield f"{paths.REMOVED_POINTS}/removed", int(by_reason.sum())
         for code, reason in enumerate(self._info.reasons):
             yield f"{paths.REASONS}/removed/{reason.name}", int(by_reason[code])
 
-    def _facts(self, run: RunSpec, summary: SequenceSummary, params: dict[str, Any]) -> dict[str, Any]:
+    def _facts(
+        self, run: RunSpec, summary: SequenceSummary, params: dict[str, Any]
+    ) -> dict[str, Any]:
         info = run.labeller.info
         return {
             "schema": paths.SCHEMA,
@@ -291,7 +359,9 @@ class Recorder(Listener):
         }
 
     def _write_legends(self) -> None:
-        legend = classes.legend(self._info.reasons, self._run.sequence.has_labels, self._info.compares)
+        legend = classes.legend(
+            self._info.reasons, self._run.sequence.has_labels, self._info.compares
+        )
         self._open.log(paths.ROOT, rr.AnnotationContext(legend), static=True)
         for state in self._states.values():
             if (context := states.legend(state)) is not None:
@@ -299,8 +369,13 @@ class Recorder(Listener):
         for tab in keys.tabs(self._info) if self._states else ():
             self._open.log(paths.key(self._info.name, tab[0]), keys.strip(tab), static=True)
 
-    def _draw_states(self, queue: list[tuple[State, Value]], scan: Scan, errors: F32 | None = None) -> None:
-        """Draw states of a scan; if not all of each, then around the (K, 3) wrong points, if known."""
+    def _draw_states(
+        self, queue: list[tuple[State, Value]], scan: Scan, errors: F32 | None = None
+    ) -> None:
+        """Draw states of a scan.
+
+        If not all of each, then around the (K, 3) wrong points, if known.
+        """
         budget = None if self._most is None else Budget(scan, self._most, errors)
         for state, value in queue:
             if isinstance(value, Text):
@@ -321,7 +396,8 @@ class Recorder(Listener):
 
     def _histogram(self, path: str, histogram: FrameHistograms) -> None:
         """The histogram of the run with its 10 % line, and those of the frames on the timeline."""
-        edges, total = histogram.edges.copy(), histogram.counts.sum(0)
+        edges = histogram.edges.copy()
+        total = histogram.counts.sum(0)
         if not np.isfinite(edges[-1]):  # the last bin is open: draw it as wide as the previous one
             edges[-1] = 2 * edges[-2] - edges[-3]
         bars = _bars(path, total, edges)
@@ -329,7 +405,10 @@ class Recorder(Listener):
         if total.sum():
             width = 0.003 * (edges[-1] - edges[0])
             line = rr.BarChart(
-                [float(total.max())], abscissa=[_tenth(total, edges)], widths=[width], color=colours.NEUTRAL
+                [float(total.max())],
+                abscissa=[_tenth(total, edges)],
+                widths=[width],
+                color=colours.NEUTRAL,
             )
             self._open.log(f"{path}/p10", line, static=True)
         for (frame, *_), counts in zip(self._outcomes.frames, histogram.counts, strict=True):
@@ -338,8 +417,12 @@ class Recorder(Listener):
             self._open.log(path, bars)
 
     def _mark_worst(self) -> None:
-        worst = sorted((frame, float(missed + removed)) for frame, _, missed, removed in self._outcomes.worst())
-        style = rr.SeriesPoints(colors=colours.NEUTRAL, markers="diamond", marker_sizes=4, names="worst frames")
+        worst = sorted(
+            (frame, float(missed + removed)) for frame, _, missed, removed in self._outcomes.worst()
+        )
+        style = rr.SeriesPoints(
+            colors=colours.NEUTRAL, markers="diamond", marker_sizes=4, names="worst frames"
+        )
         self._open.log(paths.WORST, style, static=True)
         if worst:
             frames, wrong = zip(*worst, strict=True)
@@ -360,15 +443,20 @@ _ERRORS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.F
 
 def _copied(value: Value) -> Value:
     """A state with copies of its arrays."""
-    parts: dict[str, Any] = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-    parts = {name: part.copy() if isinstance(part, np.ndarray) else part for name, part in parts.items()}
+    parts: dict[str, Any] = {
+        field.name: getattr(value, field.name) for field in dataclasses.fields(value)
+    }
+    parts = {
+        name: part.copy() if isinstance(part, np.ndarray) else part for name, part in parts.items()
+    }
     return type(value)(**parts)
 
 
 def _bars(path: str, counts: Any, edges: Any) -> rr.BarChart:
     outcome = _ERRORS.get(path.split("/")[1])
     colour = colours.NEUTRAL if outcome is None else colours.FIRM[outcome]
-    middles, widths = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+    middles = (edges[:-1] + edges[1:]) / 2
+    widths = np.diff(edges)
     return rr.BarChart(counts, abscissa=middles, widths=0.92 * widths, color=colour)
 
 

@@ -20,7 +20,12 @@ from dynaviz.views import paths
 from dynaviz.views.cases import listed, suspicious, title_of
 
 WORST = 5  # frames named in the report and marked on the curve
-TRUE = [Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE]
+TRUE = [
+    Outcome.STATIC_KEPT,
+    Outcome.DYNAMIC_REMOVED,
+    Outcome.FALSE_POSITIVE,
+    Outcome.FALSE_NEGATIVE,
+]
 SMALLEST = 0.005  # percentage points: smaller costs would print as 0.00
 
 
@@ -29,14 +34,18 @@ class OutcomeCounts:
 
     def __init__(self) -> None:
         self.points = np.zeros((len(Outcome), 256), np.int64)
-        self.frames: list[tuple[int, int, int, int]] = []  # frame, index, false negatives, false positives
+        self.frames: list[
+            tuple[int, int, int, int]
+        ] = []  # frame, index, false negatives, false positives
 
     def add(self, frame: int, index: int, outcome: U8, reasons: U8) -> tuple[int, int]:
         """Count a frame; returns its false negatives and false positives."""
         flat = (outcome.astype(np.uint16) << 8) | reasons
         here = np.bincount(flat, minlength=self.points.size).reshape(self.points.shape)
         self.points += here
-        missed, removed = (int(here[o].sum()) for o in (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE))
+        missed, removed = (
+            int(here[o].sum()) for o in (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE)
+        )
         self.frames.append((frame, index, missed, removed))
         return missed, removed
 
@@ -55,7 +64,10 @@ class OutcomeCounts:
         )
 
     def worst(self) -> list[tuple[int, int, int, int]]:
-        """The frames with the most wrong points, worst first; frames without wrong points are left out."""
+        """The frames with the most wrong points, worst first.
+
+        Frames without wrong points are left out.
+        """
         wrong = [entry for entry in self.frames if entry[2] + entry[3]]
         return sorted(wrong, key=lambda entry: (-entry[2] - entry[3], entry[0]))[:WORST]
 
@@ -63,7 +75,9 @@ class OutcomeCounts:
 def before(info: MethodInfo, sequence: str, params: Mapping[str, Any], mode: str) -> str:
     """The report until the run finishes."""
     unfinished = "**The recording is still loading, or this run did not finish.**"
-    return "\n\n".join([_title(info, sequence), unfinished, _parameters(params), _how_to_read(mode)])
+    return "\n\n".join(
+        [_title(info, sequence), unfinished, _parameters(params), _how_to_read(mode)]
+    )
 
 
 def report(info: MethodInfo, result: Result, counts: OutcomeCounts, mode: str) -> str:
@@ -91,18 +105,29 @@ def report(info: MethodInfo, result: Result, counts: OutcomeCounts, mode: str) -
 
 
 def failure_list(result: Result) -> str:
-    """The costliest cases by cause, holes and ghosts apart, numbered as on their timeline; or suspicious clusters."""
+    """The costliest cases by cause, holes and ghosts apart, numbered as on their timeline.
+
+    Or suspicious clusters.
+    """
     if cases := listed(result):
-        kinds = sorted(KINDS, key=lambda kind: kind != cases[0].kind)  # the kind of the costliest case first
+        # the kind of the costliest case first
+        kinds = sorted(KINDS, key=lambda kind: kind != cases[0].kind)
         return "\n\n".join(part for kind in kinds for part in _by_cause(result, kind))
     if rows := [_suspicious(case, number) for number, case in enumerate(suspicious(result), 1)]:
         removed = suspicious(result)[0].did == "removed"
-        what = "Removed points that may be static, most suspicious" if removed else "Points that changed, largest"
+        what = (
+            "Removed points that may be static, most suspicious"
+            if removed
+            else "Points that changed, largest"
+        )
         head = f"{what} first. There is no ground truth to check them."
         return f"{head}\n\n" + table([("#", "points", "what and why", "frame"), *rows])
     if result.counts.get("static_kept") or result.counts.get("dynamic_removed"):
         return "No failure case: all labelled points are right."
-    return "There is no ground truth, so failures cannot be computed. **removed** sums up what was removed."
+    return (
+        "There is no ground truth, so failures cannot be computed. **removed** sums up what was "
+        "removed."
+    )
 
 
 KINDS = {  # kind: heading
@@ -112,14 +137,19 @@ KINDS = {  # kind: heading
 
 
 def _by_cause(result: Result, kind: str) -> Iterator[str]:
-    """A heading with the loss, and a row per cause followed by its cases; nothing if there are no such cases."""
+    """A heading with the loss, and a row per cause followed by its cases.
+
+    Nothing if there are no such cases.
+    """
     cases = [(number, case) for number, case in enumerate(listed(result), 1) if case.kind == kind]
     costs = _costs(result, kind)
     if not cases and not costs:
         return
     metric = "SA" if kind == "false_positive" else "DA"
     score = result.metrics.get(metric)
-    yield f"**{KINDS[kind]}" + (f": {100 - score:.2f} % of {metric} lost**" if score is not None else "**")
+    yield f"**{KINDS[kind]}" + (
+        f": {100 - score:.2f} % of {metric} lost**" if score is not None else "**"
+    )
     by: dict[str, list[tuple[int, FailureCase]]] = {cause: [] for cause in costs}
     for number, case in cases:
         by.setdefault(case.cause or "unknown", []).append((number, case))
@@ -127,19 +157,28 @@ def _by_cause(result: Result, kind: str) -> Iterator[str]:
     for cause, members in by.items():
         rows.append(("", f"**{costs.get(cause, 0.0):.2f}**", f"**{cause}**", ""))
         rows += [
-            (_link(number, paths.CASES), f"{case.cost:.2f}", _named(case), case.worst_frame) for number, case in members
+            (_link(number, paths.CASES), f"{case.cost:.2f}", _named(case), case.worst_frame)
+            for number, case in members
         ]
     yield table([("#", "% lost", "cause, cases", "frame"), *rows])
 
 
 def _costs(result: Result, kind: str) -> dict[str, float]:
-    """The cost of each cause in percentage points, largest first; without those that round to zero."""
+    """The cost of each cause in percentage points, largest first.
+
+    Without those that round to zero.
+    """
     counts = result.counts
     first, second = (
-        ("static_kept", "static_removed") if kind == "false_positive" else ("dynamic_kept", "dynamic_removed")
+        ("static_kept", "static_removed")
+        if kind == "false_positive"
+        else ("dynamic_kept", "dynamic_removed")
     )
     whole = counts.get(first, 0) + counts.get(second, 0)
-    costs = {cause: float(percentage_points_lost(n.points, whole)) for cause, n in result.causes.get(kind, {}).items()}
+    costs = {
+        cause: float(percentage_points_lost(n.points, whole))
+        for cause, n in result.causes.get(kind, {}).items()
+    }
     return {cause: cost for cause, cost in costs.items() if cost >= SMALLEST}
 
 
@@ -153,14 +192,18 @@ def _link(number: int, boxes: str) -> str:
 
 def _suspicious(case: RemovedCluster, number: int) -> tuple[Any, ...]:
     why = next((reason for reason in case.why if reason != case.what), "")
-    why = why.replace("points that were kept", "kept points")  # short, or the panel cuts off the last column
+    # short, or the panel cuts off the last column
+    why = why.replace("points that were kept", "kept points")
     what = case.what if case.did == "removed" else title_of(case)
     named = f"{what}: {why}" if what and why else what or why
     return _link(number, paths.CLUSTER_CASES), f"{case.points:,}", named, case.worst_frame
 
 
 def removed(info: MethodInfo, result: Result, counts: OutcomeCounts) -> str:
-    """What a run without ground truth removed: in total, by reason, by range, and the frames with the most."""
+    """What a run without ground truth removed.
+
+    In total, by reason, by range, and the frames with the most.
+    """
     points = counts.points[[Outcome.UNLABELLED_REMOVED, Outcome.UNLABELLED_KEPT]].sum(1)
     total = int(points.sum())
     gone = counts.points[Outcome.UNLABELLED_REMOVED]
@@ -168,7 +211,9 @@ def removed(info: MethodInfo, result: Result, counts: OutcomeCounts) -> str:
     parts = [f"**{share} of the points removed** ({int(points[0]):,} of {total:,})"]
     parts.append("No ground truth: whether this is right is unknown.")
     rows = [
-        (info.reasons[c].name, f"{gone[c]:,}") for c in np.argsort(-gone)[: len(info.reasons)] if c < len(info.reasons)
+        (info.reasons[c].name, f"{gone[c]:,}")
+        for c in np.argsort(-gone)[: len(info.reasons)]
+        if c < len(info.reasons)
     ]
     if rows := [row for row in rows if row[1] != "0"]:
         parts.append(table([("reason", "removed"), *rows]))
@@ -176,7 +221,8 @@ def removed(info: MethodInfo, result: Result, counts: OutcomeCounts) -> str:
         parts.append(table([("range [m]", "removed", "of", "%"), *map(_range_row, section.range)]))
     if section and (most := sorted(section.frame, key=lambda frame: -frame.removed)[:WORST]):
         worst = [
-            (frame.frame, f"{frame.removed:,}", f"{100 * frame.removed / max(frame.points, 1):.2f}") for frame in most
+            (frame.frame, f"{frame.removed:,}", f"{100 * frame.removed / max(frame.points, 1):.2f}")
+            for frame in most
         ]
         parts.append(table([("frames with the most", "removed", "%"), *worst]))
     return "\n\n".join(parts)
@@ -201,7 +247,11 @@ def _sentences(result: Result) -> str:
         return ""
     others = result.sections.failures.others.cases if result.sections.failures else 0
     rest = len(result.failures) - len(rows) + others
-    more = f"\n\n{rest:,} smaller cases are not shown; `dynaviz info --failures` lists more." if rest else ""
+    more = (
+        f"\n\n{rest:,} smaller cases are not shown; `dynaviz info --failures` lists more."
+        if rest
+        else ""
+    )
     head = ("#", "frames", "what happened", "reasons given by the method")
     return "### Failure cases\n\n" + table([head, *rows]) + more
 
@@ -209,7 +259,9 @@ def _sentences(result: Result) -> str:
 def _most(reasons: Mapping[str, int]) -> str:
     """The two most frequent reasons, with their shares."""
     total = sum(reasons.values())
-    return ", ".join(f"{name} {100 * count / total:.0f} %" for name, count in list(reasons.items())[:2])
+    return ", ".join(
+        f"{name} {100 * count / total:.0f} %" for name, count in list(reasons.items())[:2]
+    )
 
 
 def _title(info: MethodInfo, sequence: str) -> str:
@@ -237,7 +289,9 @@ def _worst(counts: OutcomeCounts) -> str:
     rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in counts.worst()]
     if not rows:
         return "No frame has wrong points." if counts.points[TRUE].any() else ""
-    return "### Worst frames\n\n" + table([("frame", "scan", "false negatives", "false positives"), *rows])
+    return "### Worst frames\n\n" + table(
+        [("frame", "scan", "false negatives", "false positives"), *rows]
+    )
 
 
 def _reasons(info: MethodInfo, counts: OutcomeCounts) -> str:
@@ -245,31 +299,49 @@ def _reasons(info: MethodInfo, counts: OutcomeCounts) -> str:
     rows = []
     for code, reason in enumerate(info.reasons):
         if counts.points[:, code].any():
-            rows.append((code, reason.name, *(f"{counts.points[o, code]:,}" for o in outcomes), reason.meaning))
+            rows.append(
+                (
+                    code,
+                    reason.name,
+                    *(f"{counts.points[o, code]:,}" for o in outcomes),
+                    reason.meaning,
+                )
+            )
     head = ("code", "reason", *(paths.NAMES[o].split(":")[0] for o in outcomes), "meaning")
     return "### Points by reason\n\n" + table([head, *rows]) if rows else ""
 
 
 def _how_to_read(mode: str, truth: bool = True) -> str:
     if mode == "scores":
-        return "### How to read this recording\n\nIt contains only numbers (`--record scores`); no points are drawn."
+        return (
+            "### How to read this recording\n\nIt contains only numbers (`--record scores`); no "
+            "points are drawn."
+        )
     shown = {
-        "errors": "all dynamic points are drawn, one false positive per 0.2 m voxel, and kept static points as one map",
+        "errors": "all dynamic points are drawn, one false positive per 0.2 m voxel, and kept "
+        "static points as one map",
         "full": "every point of every frame is drawn; the map of the whole run is downsampled",
     }[mode]
     rows = [(word, paths.NAMES[outcome]) for outcome, word in colours.WORDS.items()]
     views = (
-        "- **case**: a case in its worst frame, with rays that touched it. The arrow keys step through the cases.\n"
+        "- **case**: a case in its worst frame, with rays that touched it. The arrow keys step "
+        "through the cases.\n"
         "- **map**: the whole run, with a numbered box around each case.\n"
-        "- **frame**: the points of the frame, and the sensor. Choose the timeline `frame` to replay the run."
+        "- **frame**: the points of the frame, and the sensor. Choose the timeline `frame` to "
+        "replay the run."
     )
     if truth:
         views += (
-            "\n- **wrong points**: by frame; diamonds mark the worst frames, right-click on one to go there.\n"
-            "- **FN, FP: distance**: from each wrong point to the nearest correct one; a tenth are left of the line."
+            "\n- **wrong points**: by frame; diamonds mark the worst frames, right-click on one to "
+            "go there.\n"
+            "- **FN, FP: distance**: from each wrong point to the nearest correct one; a tenth are "
+            "left of the line."
         )
     legend = table([("colour", "point"), *rows])
-    return f"### How to read this recording\n\n{legend}\n\n{views}\n\nIn this recording, {shown} (`--record {mode}`)."
+    return (
+        f"### How to read this recording\n\n{legend}\n\n{views}\n\nIn this recording, {shown} "
+        f"(`--record {mode}`)."
+    )
 
 
 def _states(info: MethodInfo) -> str:
@@ -278,7 +350,8 @@ def _states(info: MethodInfo) -> str:
 
 
 def _run(info: MethodInfo, result: Result) -> str:
-    runtime, mean = result.runtime, result.runtime.mean_s
+    runtime = result.runtime
+    mean = result.runtime.mean_s
     rows: list[tuple[Any, Any]] = [
         ("seconds per frame", "n/a" if mean is None else f"{mean:.3f} ± {runtime.std_s or 0:.3f}"),
         ("published in", info.paper),
@@ -303,4 +376,6 @@ def table(rows: Iterable[Sequence[Any]]) -> str:
     """A Markdown table; the first row is its head."""
     head, *body = rows
     lines = [head, ["---"] * len(head), *body]
-    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
+    return "\n".join(
+        "| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
+    )

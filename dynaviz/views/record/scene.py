@@ -14,7 +14,14 @@ from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.views import classes, paths
 from dynaviz.views.layout import CIRCLES
-from dynaviz.views.record.downsampling import DYNAMIC, FINE, VOXEL, DownsampledMap, by_outcome, to_draw
+from dynaviz.views.record.downsampling import (
+    DYNAMIC,
+    FINE,
+    VOXEL,
+    DownsampledMap,
+    by_outcome,
+    to_draw,
+)
 from dynaviz.views.record.sink import RecordingFile
 
 MAPS = {  # entities of the points of the whole run, by outcome
@@ -23,7 +30,8 @@ MAPS = {  # entities of the points of the whole run, by outcome
     paths.REMOVED: (Outcome.DYNAMIC_REMOVED, Outcome.UNLABELLED_REMOVED),
     paths.REMOVED_WRONG: (Outcome.FALSE_POSITIVE,),
 }
-CAPS = {  # points in the map of the whole run: at most about 550 000, which a software renderer can draw
+# points in the map of the whole run: at most about 550 000, which a software renderer can draw
+CAPS = {
     Outcome.STATIC_KEPT: 300_000,
     Outcome.UNLABELLED_KEPT: 100_000,
     Outcome.FALSE_NEGATIVE: 40_000,
@@ -34,18 +42,21 @@ CAPS = {  # points in the map of the whole run: at most about 550 000, which a s
 LABELS = 3  # cases of a frame with a label, the costliest ones: more would hide each other
 APART = 9.0  # metres between these; about the width of a label, seen from the camera of the frame
 RADII = np.array([1.2, 1.6, 3.0, 3.0, 1.2, 1.6], np.float32)
-"""By outcome, in points on the screen; wrong points are larger so that few of them remain visible from afar."""
+"""By outcome, in points on the screen; wrong points are larger so that few of them remain visible
+from afar."""
 SMALLEST = 1.2
-FEW = 500  # points; larger classes are drawn smaller, or many scattered errors would hide a few large ones
+# points; larger classes are drawn smaller, or many scattered errors would hide a few large ones
+FEW = 500
 NUMBERED = 5  # cases with a number in the map; more would hide each other
 EDGE = 1.2  # points on the screen: thickness of the edges of boxes
 EDGES = rr.Radius.ui_points(EDGE)
 ABOVE = 1.6  # metres: height of a label above its box, so that it hides nothing
 HAIRLINE = 0.4  # the same for the boxes of a frame without a label
 WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay visible
+# of labels: their own entities, because those of boxes would have their colour
 NAME_STYLE = rr.Points3D.from_fields(
     colors=colours.LABEL, radii=rr.Radius.ui_points(0.0), show_labels=True
-)  # of labels: their own entities, because those of boxes would have their colour
+)
 
 
 class MapDrawing:
@@ -55,21 +66,29 @@ class MapDrawing:
         sink: where to draw.
         extent: of the sequence.
         named: number of reasons in the method's legend.
-        full: draw every point of every frame; otherwise only dynamic and removed points, the latter downsampled.
+        full: draw every point of every frame; otherwise only dynamic and removed points, the latter
+            downsampled.
     """
 
     def __init__(self, sink: RecordingFile, extent: Extent, named: int, full: bool) -> None:
-        self._sink, self._named, self._full = sink, named, full
+        self._sink = sink
+        self._named = named
+        self._full = full
         # Voxels are counted from the middle of the map, which may be far from the origin.
         self._middle: F32 = np.round(
             np.median(extent.cells, axis=0) * CELL if len(extent.cells) else np.zeros(3)
         ).astype(np.float32)
-        self._maps = {o: DownsampledMap(FINE if o in DYNAMIC else VOXEL, CAPS[o], self._middle) for o in Outcome}
+        self._maps = {
+            o: DownsampledMap(FINE if o in DYNAMIC else VOXEL, CAPS[o], self._middle)
+            for o in Outcome
+        }
         self._trajectory: list[F64] = []
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         sink.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
         sink.log(
-            paths.RINGS, rr.LineStrips3D(CIRCLES, colors=[90, 90, 100], radii=rr.Radius.ui_points(0.6)), static=True
+            paths.RINGS,
+            rr.LineStrips3D(CIRCLES, colors=[90, 90, 100], radii=rr.Radius.ui_points(0.6)),
+            static=True,
         )
 
     def pose(self, scan: Scan) -> None:
@@ -98,28 +117,49 @@ class MapDrawing:
             outcome = np.repeat(np.array(kinds, np.uint8), [len(p) for p in points])
             cloud = self._cloud(np.concatenate(points), outcome, np.concatenate(reasons))
             self._sink.log(path, cloud, static=True)
-        line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(0.8))
-        self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
+        line = rr.LineStrips3D(
+            [self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(0.8)
+        )
+        self._sink.log(
+            paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True
+        )
 
     def boxes(self, name: str, cases: FrameBoxes, count: int) -> None:
-        """Draw the boxes of the first ``count`` cases: by frame, with few labels, and over all frames."""
+        """Draw the boxes of the first ``count`` cases.
+
+        By frame, with few labels, and over all frames.
+        """
         few = slice(count)
         shades = np.array([colours.BRIGHT[Outcome(o)] for o in cases.outcomes[few]], np.uint8)
-        labels, path = np.array(cases.labels[few], object), paths.boxes(name)
-        numbers = [str(number) if number <= NUMBERED else "" for number in range(1, len(labels) + 1)]
-        low, size = cases.low[few], (cases.high - cases.low)[few]
+        labels = np.array(cases.labels[few], object)
+        path = paths.boxes(name)
+        numbers = [
+            str(number) if number <= NUMBERED else "" for number in range(1, len(labels) + 1)
+        ]
+        low = cases.low[few]
+        size = (cases.high - cases.low)[few]
         whole = rr.Boxes3D(
-            mins=low, sizes=size, colors=shades, labels=numbers, radii=EDGES, fill_mode=WIRES, show_labels=False
+            mins=low,
+            sizes=size,
+            colors=shades,
+            labels=numbers,
+            radii=EDGES,
+            fill_mode=WIRES,
+            show_labels=False,
         )
         self._sink.log(f"{path}/cases", whole, static=True)
         shown = slice(min(NUMBERED, len(labels)))
         at = rr.Points3D.from_fields(positions=(low + size / 2)[shown], labels=numbers[shown])
         self._sink.log(paths.names(f"{path}/cases"), NAME_STYLE, at, static=True)
-        self._sink.log(path, rr.Boxes3D.from_fields(fill_mode=WIRES, show_labels=False), static=True)
+        self._sink.log(
+            path, rr.Boxes3D.from_fields(fill_mode=WIRES, show_labels=False), static=True
+        )
         self._sink.log(paths.names(path), NAME_STYLE, static=True)
         order = np.argsort(cases.frames, kind="stable")
         order = order[cases.case[order] < len(labels)]
-        case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
+        case = cases.case[order]
+        low = cases.box_low[order]
+        high = cases.box_high[order]
         middle: F32 = ((low + high) / 2).astype(np.float32)
         labelled = with_labels(cases.frames[order], case, middle)
         columns = rr.Boxes3D.columns(
@@ -137,14 +177,23 @@ class MapDrawing:
 
     def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
         reasons = labelled.reasons[chosen]
-        what: list[Any] = [self._cloud(labelled.scan.points[chosen], labelled.outcome[chosen], reasons)]
+        what: list[Any] = [
+            self._cloud(labelled.scan.points[chosen], labelled.outcome[chosen], reasons)
+        ]
         if len(chosen) and stands_for is not None:
-            details = {"point": chosen.astype(np.uint32), "stands_for": stands_for.astype(np.uint32), "reason": reasons}
+            details = {
+                "point": chosen.astype(np.uint32),
+                "stands_for": stands_for.astype(np.uint32),
+                "reason": reasons,
+            }
             what.append(rr.DynamicArchetype("dynaviz.Scan", components=details))
         self._sink.log(paths.SCAN, *what)
 
     def _cloud(self, xyz: F32, outcome: U8, reasons: U8) -> rr.Points3D:
-        """Points with their class; without ``show_labels=False`` the viewer would print it at each of a few points."""
+        """Points with their class.
+
+        Without ``show_labels=False`` the viewer would print it at each of a few points.
+        """
         ids = classes.encode(outcome, reasons, self._named)
         return rr.Points3D(xyz, class_ids=ids, radii=_radii(outcome), show_labels=False)
 
@@ -161,7 +210,10 @@ def with_labels(frames: I64, cases: I64, middle: F32) -> Bool:
     for rows in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(frames)) + 1):
         mine: list[int] = []
         for row in rows[np.argsort(cases[rows], kind="stable")].tolist():
-            if len(mine) < LABELS and (np.linalg.norm(middle[mine] - middle[row], axis=1) >= APART).all():
+            if (
+                len(mine) < LABELS
+                and (np.linalg.norm(middle[mine] - middle[row], axis=1) >= APART).all()
+            ):
                 mine.append(row)
         labelled[mine] = True
     return labelled

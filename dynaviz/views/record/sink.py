@@ -1,4 +1,7 @@
-"""The file of a recording: written as ``.part``, flushed often, renamed when complete; may feed a viewer."""
+"""The file of a recording: written as ``.part``, flushed often, renamed when complete.
+
+May feed a viewer.
+"""
 
 from __future__ import annotations
 
@@ -42,14 +45,18 @@ class RecordingFile:
         layout_id: recordings with the same id share the viewer's layout.
         name: of the recording, for display.
         blueprint: the viewer's layout.
-        live: port of a viewer on this machine that follows the run, or None; it may be closed at any time.
+        live: port of a viewer on this machine that follows the run, or None; it may be closed at
+            any time.
 
     Raises:
         DataError: if the file cannot be written.
     """
 
-    def __init__(self, path: Path, layout_id: str, name: str, blueprint: Any, live: int | None = None) -> None:
-        self.path, self._port = path, live
+    def __init__(
+        self, path: Path, layout_id: str, name: str, blueprint: Any, live: int | None = None
+    ) -> None:
+        self.path = path
+        self._port = live
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = open_writer(part_of(path))
@@ -58,7 +65,8 @@ class RecordingFile:
         self._file = _stream(layout_id)
         self._file.save(self._writer.inlet, default_blueprint=blueprint)
         self._flushed = 0.0
-        self._streams = [self._file]  # the viewer has its own stream, so that it cannot damage the file
+        # the viewer has its own stream, so that it cannot damage the file
+        self._streams = [self._file]
         if live is not None and viewer.listens(live):
             self._streams.append(_stream(layout_id))
             self._streams[-1].connect_grpc(viewer.url(live), default_blueprint=blueprint)
@@ -93,21 +101,30 @@ class RecordingFile:
         for stream in self._streams:
             stream.log(path, *what, static=static)
 
-    def columns(self, path: str, frames: Sequence[int], stamps: Sequence[int | None], columns: Any) -> None:
+    def columns(
+        self, path: str, frames: Sequence[int], stamps: Sequence[int | None], columns: Any
+    ) -> None:
         """Log one value for each of several frames."""
         times = [rr.TimeColumn(paths.FRAME, sequence=frames)]
         if None not in stamps:
-            times.append(rr.TimeColumn(paths.SENSOR_TIME, timestamp=np.array(stamps, "datetime64[ns]")))
+            times.append(
+                rr.TimeColumn(paths.SENSOR_TIME, timestamp=np.array(stamps, "datetime64[ns]"))
+            )
         for stream in self._streams:
             stream.send_columns(path, indexes=times, columns=columns)
 
     def case_columns(self, path: str, numbers: Sequence[int], columns: Any) -> None:
         """Log one value for each of several cases."""
         for stream in self._streams:
-            stream.send_columns(path, indexes=[rr.TimeColumn(paths.CASE, sequence=numbers)], columns=columns)
+            stream.send_columns(
+                path, indexes=[rr.TimeColumn(paths.CASE, sequence=numbers)], columns=columns
+            )
 
     def properties(self, kind: str = paths.PROPERTIES, **values: Any) -> None:
-        """Set properties of a recording of some kind, skipping empty strings; later values replace earlier ones."""
+        """Set properties of a recording of some kind, skipping empty strings.
+
+        Later values replace earlier ones.
+        """
         kept = {name: value for name, value in values.items() if value != ""}
         for stream in self._streams:
             stream.send_property(kind, rr.AnyValues(**kept))
@@ -133,7 +150,9 @@ class RecordingFile:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about the missing end of the file
             reader = RrdReader(part_of(self.path))
-            yield from reader.stream().filter(content=[f"/{path}" for path in contents], has_timeline=paths.FRAME)
+            yield from reader.stream().filter(
+                content=[f"/{path}" for path in contents], has_timeline=paths.FRAME
+            )
 
     def flush(self, pending: float = 0.0) -> None:
         """Write everything logged so far to the file; disconnect from a viewer that was closed.
@@ -169,7 +188,10 @@ class RecordingFile:
             raise self._unwritable(error) from None
 
     def close(self) -> None:
-        """Close the file and leave it as ``.part``, for repair; errors were reported before or are dropped."""
+        """Close the file and leave it as ``.part``, for repair.
+
+        Errors were reported before or are dropped.
+        """
         with contextlib.suppress(OSError):
             self._close()
 
@@ -185,7 +207,9 @@ class RecordingFile:
 
 def _stream(layout_id: str) -> rr.RecordingStream:
     """A stream with a new recording id: the viewer would merge two recordings with the same id."""
-    return rr.RecordingStream(_plain(layout_id), recording_id=str(uuid.uuid4()), send_properties=False)
+    return rr.RecordingStream(
+        _plain(layout_id), recording_id=str(uuid.uuid4()), send_properties=False
+    )
 
 
 def _plain(name: str) -> str:

@@ -28,7 +28,8 @@ from dynaviz.views.record.budget import Budget
 PICTURE = 256  # pixels: the edge of a polar grid seen from above
 CORNERS = 48  # of the polygon that approximates a disc
 CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
-WIDE = 4.5  # a range image at most this much wider than high; its rows are repeated, or it would be a hairline
+# a range image at most this much wider than high; its rows are repeated, or it would be a hairline
+WIDE = 4.5
 EMPTY = 255  # class of empty pixels
 
 
@@ -39,7 +40,8 @@ def legend(state: State) -> Any:
     shades = colours.CLASSES
     known = [(i, name, shades[i % len(shades)]) for i, name in enumerate(state.legend) if name]
     empty = [(EMPTY, "", colours.BACKGROUND)] if issubclass(state.kind, paths.FLAT) else []
-    return rr.AnnotationContext([*known, *empty])  # the viewer would make up a colour for classes without one
+    # the viewer would make up a colour for classes without one
+    return rr.AnnotationContext([*known, *empty])
 
 
 def draw(value: Value, state: State, scan: Scan, budget: Budget | None) -> Any:
@@ -57,16 +59,23 @@ def draw(value: Value, state: State, scan: Scan, budget: Budget | None) -> Any:
     match value:
         case Points(xyz, values):
             chosen = _chosen(xyz, budget)
-            shades = [colours.STATE] if values is None else _coloured(values[chosen], state.value_range)
+            shades = (
+                [colours.STATE] if values is None else _coloured(values[chosen], state.value_range)
+            )
             return rr.Points3D(xyz[chosen], colors=shades, radii=rr.Radius.ui_points(2.0))
         case PointClasses(classes):
             chosen = _chosen(scan.points, budget)
             return rr.Points3D(
-                scan.points[chosen], class_ids=classes[chosen], radii=rr.Radius.ui_points(2.0), show_labels=False
+                scan.points[chosen],
+                class_ids=classes[chosen],
+                radii=rr.Radius.ui_points(2.0),
+                show_labels=False,
             )
         case Mask(mask):
             xyz = scan.points[mask]
-            return rr.Points3D(xyz[_chosen(xyz, budget)], colors=[colours.STATE], radii=rr.Radius.ui_points(2.5))
+            return rr.Points3D(
+                xyz[_chosen(xyz, budget)], colors=[colours.STATE], radii=rr.Radius.ui_points(2.5)
+            )
         case Voxels():
             return _voxels(value, state, budget)
         case Plane():
@@ -81,7 +90,9 @@ def draw(value: Value, state: State, scan: Scan, budget: Budget | None) -> Any:
 
 
 def from_above(values: F32) -> F32:
-    """A polar grid as an image from above: sensor in the centre, azimuth 0 to the right, 90 degrees up.
+    """A polar grid as an image from above.
+
+    Sensor in the centre, azimuth 0 to the right, 90 degrees up.
 
     Args:
         values: (rings, sectors) float32.
@@ -100,11 +111,17 @@ def from_above(values: F32) -> F32:
 
 def _voxels(value: Voxels, state: State, budget: Budget | None) -> Any:
     cells = kernels.as_readonly(value.keys, np.int32)
-    chosen = slice(None) if budget is None else budget.chosen(kernels.thinning.centres(cells, float(value.size)))
+    chosen = (
+        slice(None)
+        if budget is None
+        else budget.chosen(kernels.thinning.centres(cells, float(value.size)))
+    )
     cells = cells[chosen]
     edges = [value.size] * 3
     if value.values is None:
-        return rr.VoxelGridMap(cells, edges, colors=np.tile(np.array(colours.STATE, np.uint8), (len(cells), 1)))
+        return rr.VoxelGridMap(
+            cells, edges, colors=np.tile(np.array(colours.STATE, np.uint8), (len(cells), 1))
+        )
     values = value.values[chosen]
     shown = keys.stretched(*(state.value_range or _range(values)))
     return rr.VoxelGridMap(cells, edges, values=values, value_range=shown, colormap="viridis")
@@ -116,22 +133,33 @@ def _disc(plane: Plane) -> Any:
     side = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     side /= np.linalg.norm(side)
     ahead = np.cross(normal, side)
-    centre = plane.centre - (plane.centre @ normal - plane.offset / np.linalg.norm(plane.normal)) * normal
+    centre = (
+        plane.centre
+        - (plane.centre @ normal - plane.offset / np.linalg.norm(plane.normal)) * normal
+    )
     rim = centre + plane.radius * (np.cos(CIRCLE)[:, None] * side + np.sin(CIRCLE)[:, None] * ahead)
     corner = np.arange(CORNERS)
     fan = np.stack([np.full(CORNERS, CORNERS), corner, (corner + 1) % CORNERS], 1)
-    return rr.Mesh3D(vertex_positions=[*rim, centre], triangle_indices=fan, albedo_factor=[*colours.STATE, 110])
+    return rr.Mesh3D(
+        vertex_positions=[*rim, centre], triangle_indices=fan, albedo_factor=[*colours.STATE, 110]
+    )
 
 
 def _picture(values: F32, state: State) -> Any:
     """An image with two bytes per pixel, or one of classes; empty pixels are dark."""
     if state.legend:
-        return rr.SegmentationImage(np.where(np.isnan(values), EMPTY, values).astype(np.uint8), opacity=1.0)
+        return rr.SegmentationImage(
+            np.where(np.isnan(values), EMPTY, values).astype(np.uint8), opacity=1.0
+        )
     low, high = state.value_range or _range(values)
     first, last = keys.stretched(low, high, keys.GREYS)
     small = np.where(np.isnan(values), first, np.clip(values, low, high)).astype(np.float16)
     return rr.DepthImage(
-        small, meter=1.0, colormap="grayscale", depth_range=[first, last], magnification_filter="nearest"
+        small,
+        meter=1.0,
+        colormap="grayscale",
+        depth_range=[first, last],
+        magnification_filter="nearest",
     )
 
 
@@ -152,7 +180,8 @@ def _range(values: F32) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
-    low, high = float(finite.min()), float(finite.max())
+    low = float(finite.min())
+    high = float(finite.max())
     return low, high if high > low else low + 1.0
 
 

@@ -19,7 +19,10 @@ class Counted(ABC):
     @staticmethod
     @abstractmethod
     def scores_of(counts: Mapping[str, float]) -> Mapping[str, float]:
-        """The scores in percent that follow from counts, NaN where undefined; missing counts are 0."""
+        """The scores in percent that follow from counts, NaN where undefined.
+
+        Missing counts are 0.
+        """
 
     def finish(self) -> ProtocolScores:
         """The scores."""
@@ -36,5 +39,8 @@ class Counted(ABC):
 
     @classmethod
     def _of_counts(cls, counts: Mapping[str, float]) -> ProtocolScores:
-        scores = {name: None if math.isnan(value) else float(value) for name, value in cls.scores_of(counts).items()}
+        scores = {
+            name: None if math.isnan(value) else float(value)
+            for name, value in cls.scores_of(counts).items()
+        }
         return ProtocolScores(scores, counts)

@@ -1,4 +1,7 @@
-"""Intersection over union of the moving points, as in moving object segmentation: SemanticKITTI, HeLiMOS, DOALS."""
+"""Intersection over union of the moving points, as in moving object segmentation.
+
+SemanticKITTI, HeLiMOS, DOALS.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,8 @@ SCORES = ("IoU", "precision", "recall")
 def scored_points(scan: Scan) -> Bool:
     """(N,) bool: labelled points, without those of the classes 0 and 1 of SemanticKITTI.
 
-    In the public benchmark, and hence in ``Scan.labels``, points of these classes are static, or dynamic near the car.
+    In the public benchmark, and hence in ``Scan.labels``, points of these classes are static, or
+    dynamic near the car.
     """
     if scan.labels is None:
         return np.zeros(len(scan), np.bool_)
@@ -34,8 +38,11 @@ def scored_points(scan: Scan) -> Bool:
 
 
 def moving_counts(labelled: Labelled, scored: Bool) -> tuple[int, int, int]:
-    """True positives, false positives and false negatives of the moving class among the (N,) scored points."""
-    moving, predicted = scored & (labelled.scan.labels == Label.DYNAMIC), scored & labelled.dynamic
+    """True positives, false positives and false negatives of the moving class among the (N,) scored
+    points.
+    """
+    moving = scored & (labelled.scan.labels == Label.DYNAMIC)
+    predicted = scored & labelled.dynamic
     true_positives = int((moving & predicted).sum())
     return true_positives, int(predicted.sum()) - true_positives, int(moving.sum()) - true_positives
 
@@ -76,11 +83,15 @@ class SemanticKittiMos(Counted):
     def scores_of(counts: Mapping[str, float]) -> Mapping[str, float]:
         """IoU, precision and recall."""
         tp, fp, fn = (counts.get(name, 0) for name in ("TP", "FP", "FN"))
-        return {name: float(percent(tp, whole)) for name, whole in _denominators(tp, fp, fn).items()}
+        return {
+            name: float(percent(tp, whole)) for name, whole in _denominators(tp, fp, fn).items()
+        }
 
 
 class Helimos(SemanticKittiMos):
-    """IoU of the moving points for each lidar of HeLiMOS, and the mean over the lidars (Lim et al., IROS 2024)."""
+    """IoU of the moving points for each lidar of HeLiMOS, and the mean over the lidars (Lim et al.,
+    IROS 2024).
+    """
 
     info: ClassVar = ProtocolInfo(
         name="helimos",
@@ -95,14 +106,17 @@ class Helimos(SemanticKittiMos):
     @classmethod
     def combine(cls, parts: Sequence[ProtocolScores]) -> ProtocolScores:
         """Mean over the lidars; None if undefined for one of them."""
-        return ProtocolScores({name: _mean([part.scores[name] for part in parts]) for name in SCORES})
+        return ProtocolScores(
+            {name: _mean([part.scores[name] for part in parts]) for name in SCORES}
+        )
 
 
 class Doals(Counted):
-    """IoU of the moving points in each labelled scan of DOALS, within 0.5 to 20 m, and its mean over the scans.
+    """IoU of the moving points in each labelled scan of DOALS, within 0.5 to 20 m, and its mean
+    over the scans.
 
-    As in the evaluation of Dynablox (Schmid et al., RA-L 2023). A scan without moving points in which none is
-    predicted has an IoU of 100 %.
+    As in the evaluation of Dynablox (Schmid et al., RA-L 2023). A scan without moving points in
+    which none is predicted has an IoU of 100 %.
     """
 
     info: ClassVar = ProtocolInfo(

@@ -1,4 +1,7 @@
-"""SA, DA and AA over points: by index as dynaviz counts, and by nearest neighbour as the public benchmark's scripts."""
+"""SA, DA and AA over points.
+
+By index as dynaviz counts, and by nearest neighbour as the public benchmark's scripts.
+"""
 
 from __future__ import annotations
 
@@ -55,11 +58,14 @@ class PointsProtocol(_Accuracy):
 
 
 class PublicBenchmark(_Accuracy):
-    """SA, DA, AA and HA as the scripts of the public benchmark count: by nearest neighbour in the cleaned map.
+    """SA, DA, AA and HA as the scripts of the public benchmark count.
 
-    The cleaned map is all points that the run keeps. A point counts as removed if no point of that map lies within
-    0.05 m, whatever its own label. Unlike in those scripts, unlabelled points are not scored. For a map of another
-    program the labels already follow this rule. Memory grows with the number of points: 13 bytes each.
+    By nearest neighbour in the cleaned map.
+
+    The cleaned map is all points that the run keeps. A point counts as removed if no point of that
+    map lies within 0.05 m, whatever its own label. Unlike in those scripts, unlabelled points are
+    not scored. For a map of another program the labels already follow this rule. Memory grows with
+    the number of points: 13 bytes each.
     """
 
     info: ClassVar = ProtocolInfo(

@@ -1,4 +1,7 @@
-"""PR, RR and F1 over voxels of the map, as papers on map cleaning count them: ERASOR and FreeDOM."""
+"""PR, RR and F1 over voxels of the map, as papers on map cleaning count them.
+
+ERASOR and FreeDOM.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +31,16 @@ class _Voxels(Counted):
     def scores_of(counts: Mapping[str, float]) -> Mapping[str, float]:
         """F1, PR and RR."""
         static, static_kept, dynamic, dynamic_kept = (counts.get(name, 0) for name in _COUNTS)
-        PR, RR = float(percent(static_kept, static)), float(percent(dynamic - dynamic_kept, dynamic))
+        PR = float(percent(static_kept, static))
+        RR = float(percent(dynamic - dynamic_kept, dynamic))
         return {"F1": float(harmonic_mean(PR, RR)), "PR": PR, "RR": RR}
 
 
 class FreedomProtocol(_Voxels):
     """PR, RR and F1 over voxels of 0.2 m as FreeDOM counts them (Li et al., RA-L 2025).
 
-    A voxel is static if it contains any static point, else dynamic. It is kept if it contains a kept point.
+    A voxel is static if it contains any static point, else dynamic. It is kept if it contains a
+    kept point.
     """
 
     info: ClassVar = ProtocolInfo(
@@ -80,17 +85,18 @@ class FreedomIndoor(FreedomProtocol):
 class ErasorProtocol(_Voxels):
     """PR, RR and F1 over voxels of 0.2 m as ERASOR's script counts them (Lim et al., RA-L 2021).
 
-    Both the map of all points and the map of the kept ones are reduced to one point per voxel: the mean of its points,
-    with the label of the point next to it. A voxel of the first counts as kept if the nearest voxel point of the second
-    lies within half a voxel's diagonal, 0.173 m, and has the same label. Memory grows with the number of points: 14
-    bytes each.
+    Both the map of all points and the map of the kept ones are reduced to one point per voxel: the
+    mean of its points, with the label of the point next to it. A voxel of the first counts as kept
+    if the nearest voxel point of the second lies within half a voxel's diagonal, 0.173 m, and has
+    the same label. Memory grows with the number of points: 14 bytes each.
     """
 
     info: ClassVar = ProtocolInfo(
         name="erasor",
         title="ERASOR, 0.2 m",
         source="script of Lim et al., RA-L 2021",
-        counts="voxel means of 0.2 m; kept if the nearest of the cleaned map lies within 0.173 m and has its label",
+        counts="voxel means of 0.2 m; kept if the nearest of the cleaned map lies within 0.173 m "
+        "and has its label",
         ignores="unlabelled points",
         combines="counts added over sequences",
         scores=SCORES,
@@ -125,7 +131,8 @@ class ErasorProtocol(_Voxels):
         same = np.zeros(len(means), np.bool_)
         if len(map_means):
             answer = cKDTree(map_means).query(means, distance_upper_bound=reach, workers=-1)
-            distance, nearest = np.asarray(answer[0]), np.asarray(answer[1])
+            distance = np.asarray(answer[0])
+            nearest = np.asarray(answer[1])
             found = distance < reach
             same[found] = map_moving[nearest[found]] == moving[found]
         numbers = (~moving).sum(), (same & ~moving).sum(), moving.sum(), (same & moving).sum()
@@ -141,12 +148,17 @@ def voxel_points(points: F32, dynamic: Bool) -> tuple[F64, Bool]:
 
     Returns:
         means: (V, 3) float64, metres: mean of the points of each voxel.
-        dynamic: (V,) bool: whether the point of the voxel nearest to the mean is dynamic; the first one of equals.
+        dynamic: (V,) bool: whether the point of the voxel nearest to the mean is dynamic; the first
+            one of equals.
     """
     _, voxel, number = np.unique(pack(points, EDGE), return_inverse=True, return_counts=True)
     sums = [np.bincount(voxel, column, len(number)) for column in points.T.astype(np.float64)]
     means: F64 = np.stack(sums, 1) / number[:, None]
     squared = ((points - means[voxel]) ** 2).sum(1)
     order = np.lexsort((squared, voxel))
-    first = order[np.concatenate([[0], np.cumsum(number)[:-1]]).astype(np.intp)] if len(order) else order
+    first = (
+        order[np.concatenate([[0], np.cumsum(number)[:-1]]).astype(np.intp)]
+        if len(order)
+        else order
+    )
     return means, dynamic[first]

@@ -1,7 +1,7 @@
 """Published numbers to compare with: one TOML file per sequence, and one of runtimes.
 
-Copied from their sources, not computed here. The benchmark scores by nearest neighbour (``nn``, eval/README.md), so
-compared with ``mask`` scores they are only a rough guide.
+Copied from their sources, not computed here. The benchmark scores by nearest neighbour (``nn``,
+eval/README.md), so compared with ``mask`` scores they are only a rough guide.
 """
 
 from __future__ import annotations
@@ -55,7 +55,11 @@ class PublishedRuntime:
 def published_sequences() -> list[str]:
     """Names of the sequences with published scores, sorted."""
     files = [file.name for file in resources.files(__package__).iterdir()]
-    return sorted(name.removesuffix(".toml") for name in files if name.endswith(".toml") and name != "runtime.toml")
+    return sorted(
+        name.removesuffix(".toml")
+        for name in files
+        if name.endswith(".toml") and name != "runtime.toml"
+    )
 
 
 def published(sequence: str) -> tuple[Published, ...]:
@@ -108,7 +112,9 @@ def matching(sequence: SequenceInfo, frames: Sequence[int] = ()) -> Match | None
     return None
 
 
-def _compare(facts: Mapping[str, Any], sequence: SequenceInfo, frames: Sequence[int]) -> tuple[bool, str]:
+def _compare(
+    facts: Mapping[str, Any], sequence: SequenceInfo, frames: Sequence[int]
+) -> tuple[bool, str]:
     here = f"{sequence.frames:,} frames"
     there = f"{facts['frames']:,} frames"
     numbered = "first" in facts and len(frames) > 0
@@ -117,11 +123,16 @@ def _compare(facts: Mapping[str, Any], sequence: SequenceInfo, frames: Sequence[
         there += f" from {facts['first']} to {facts['last']}"
     if here != there:
         return False, f"Only the name matches: {here} here, {there} in the public sequence."
-    points, known = sequence.points, facts.get("points")
+    points = sequence.points
+    known = facts.get("points")
     if known is None:
         return True, f"Name and frames match ({there}); the number of points was not published."
     if points != known:
-        return False, f"Name and frames match ({there}), but not the points: {points:,} here, {known:,} published."
+        return (
+            False,
+            f"Name and frames match ({there}), but not the points: {points:,} here, {known:,} "
+            "published.",
+        )
     return True, f"Name, frames and points match ({there}, {known:,} points)."
 
 

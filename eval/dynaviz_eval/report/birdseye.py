@@ -1,4 +1,7 @@
-"""Pictures of a map, from above or from the side: the ground truth, and each method's result (paper, Figs. 6, 7)."""
+"""Pictures of a map, from above or from the side.
+
+The ground truth, and each method's result (paper, Figs. 6, 7).
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,12 @@ MAX_SIZE = (640, 480)  # pixels
 SHADES = 24  # of grey, by height
 MARGIN = 2.0  # metres around the map
 SCALE_BAR = 10  # metres
-GAP = 0.25  # metres between neighbouring points of a recorded map, which has one point per voxel of 0.2 m
+# metres between neighbouring points of a recorded map, which has one point per voxel of 0.2 m
+GAP = 0.25
 FRAME_GAP = 4  # pixels between a case and its frame
 LOSSLESS = 101  # WebP quality; half the size of PNG for such pictures
-BACKGROUND, UNKNOWN, GHOST, HOLE, RIGHT, TAKEN, FRAME, GREY = range(8)  # palette; shades of grey start at the last
+# palette; shades of grey start at the last
+BACKGROUND, UNKNOWN, GHOST, HOLE, RIGHT, TAKEN, FRAME, GREY = range(8)
 _COLOURS = (
     GROUND_COLOUR,
     (48, 50, 58),
@@ -34,17 +39,24 @@ _COLOURS = (
     BRIGHT[Outcome.UNLABELLED_REMOVED],
     (255, 255, 255),
 )
-_GREYS = tuple((grey, grey, grey + 8) for grey in (round(70 + 120 * k / (SHADES - 1)) for k in range(SHADES)))
+_GREYS = tuple(
+    (grey, grey, grey + 8) for grey in (round(70 + 120 * k / (SHADES - 1)) for k in range(SHADES))
+)
 _PALETTE = np.array((*_COLOURS, *_GREYS), np.uint8)  # (7 + SHADES, 3) RGB
 _STATIC = (Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE)
 _DYNAMIC = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE)
 _CORRECTED = np.arange(len(Outcome), dtype=np.uint8)  # by outcome: the outcome of a correct answer
-_CORRECTED[[Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE]] = Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED
+_CORRECTED[[Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE]] = (
+    Outcome.STATIC_KEPT,
+    Outcome.DYNAMIC_REMOVED,
+)
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for a page; ``webp`` is base64-encoded, ``case`` the number of a case of its run, or 0."""
+    """A picture for a page; ``webp`` is base64-encoded, ``case`` the number of a case of its run,
+    or 0.
+    """
 
     webp: str
     width: int
@@ -62,7 +74,9 @@ def has_truth(overview: StudyOverview) -> bool:
 
 def raw(overview: StudyOverview) -> StudyOverview:
     """The map before cleaning."""
-    return StudyOverview(overview.points, np.full(len(overview.points), Outcome.STATIC_KEPT, np.uint8))
+    return StudyOverview(
+        overview.points, np.full(len(overview.points), Outcome.STATIC_KEPT, np.uint8)
+    )
 
 
 def corrected(overview: StudyOverview) -> StudyOverview:
@@ -71,8 +85,11 @@ def corrected(overview: StudyOverview) -> StudyOverview:
 
 
 def overviews(study: Study, board: ScoreBoard) -> tuple[dict[str, StudyOverview], list[str]]:
-    """The map of the best run of each method, by label, and a sentence for each run that has none."""
-    found, notes = {}, []
+    """The map of the best run of each method, by label, and a sentence for each run
+    that has none.
+    """
+    found = {}
+    notes = []
     for row in best_of_each_method(board):
         assert row.run is not None
         try:
@@ -89,7 +106,10 @@ def overviews(study: Study, board: ScoreBoard) -> tuple[dict[str, StudyOverview]
 
 
 def most_complete(found: Mapping[str, StudyOverview]) -> StudyOverview:
-    """The map with the fewest removed points. Points are thinned by outcome, so removed ones may be thinned twice."""
+    """The map with the fewest removed points.
+
+    Points are thinned by outcome, so removed ones may be thinned twice.
+    """
     removed = (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED)
     return min(found.values(), key=lambda overview: int(np.isin(overview.outcome, removed).sum()))
 
@@ -102,17 +122,25 @@ def maps(board: ScoreBoard, found: Mapping[str, StudyOverview]) -> list[Picture]
     view = View.of_map(reference)
     if has_truth(reference):
         alt = f"Bird's-eye map of {board.title}, with dynamic points in blue"
-        pictures = [view.picture(corrected(reference), "ground truth", "the result of a perfect method", alt)]
+        pictures = [
+            view.picture(
+                corrected(reference), "ground truth", "the result of a perfect method", alt
+            )
+        ]
     else:
         alt = f"Bird's-eye map of {board.title} before cleaning"
         pictures = [view.picture(raw(reference), "before", "the raw map", alt)]
     for row in board.rows:
         if row.label in found:
-            ghosts, holes = (row.result.counts.get(name, 0) for name in ("dynamic_kept", "static_removed"))
+            ghosts, holes = (
+                row.result.counts.get(name, 0) for name in ("dynamic_kept", "static_removed")
+            )
             removals = row.result.sections.removals
             caption = f"{ghosts:,} dynamic points kept, {holes:,} static points removed"
             if not row.result.has_truth:
-                caption = f"{many(removals.removed, 'point')} removed" if removals else "no ground truth"
+                caption = (
+                    f"{many(removals.removed, 'point')} removed" if removals else "no ground truth"
+                )
             alt = f"Bird's-eye map of {board.title} as cleaned by {row.label}: {caption}"
             pictures.append(view.picture(found[row.label], row.label, caption, alt))
     return pictures
@@ -141,34 +169,42 @@ class View:
 
     @classmethod
     def of_map(cls, overview: StudyOverview) -> View:
-        """A view from above of the labelled points, without the outermost ones: these would make the rest too small.
+        """A view from above of the labelled points, without the outermost ones.
+
+        These would make the rest too small.
 
         The longest side of the map is horizontal.
         """
         known = np.isin(overview.outcome, (*_STATIC, *_DYNAMIC))
         known |= not known.any()
-        points, outcome = overview.points[known].astype(np.float64), overview.outcome[known]
+        points = overview.points[known].astype(np.float64)
+        outcome = overview.outcome[known]
         finite = np.isfinite(points).all(1)
-        points, outcome = points[finite], outcome[finite]
+        points = points[finite]
+        outcome = outcome[finite]
         if not len(points):
-            points, outcome = np.zeros((1, 3)), np.zeros(1, np.uint8)
+            points = np.zeros((1, 3))
+            outcome = np.zeros(1, np.uint8)
         axes = upright(principal_axes(points[:, :2]))
         flat = points @ axes.T
         low, high = np.percentile(flat, [1, 99], axis=0)
         dynamic = flat[np.isin(outcome, _DYNAMIC)]
         if len(dynamic):
-            low, high = np.minimum(low, dynamic.min(0)), np.maximum(high, dynamic.max(0))
-        low, high = low - MARGIN, high + MARGIN
-        low[2], high[2] = -np.inf, np.inf
+            low = np.minimum(low, dynamic.min(0))
+            high = np.maximum(high, dynamic.max(0))
+        low = low - MARGIN
+        high = high + MARGIN
+        low[2] = -np.inf
+        high[2] = np.inf
         pixel = float(((high - low)[:2] / MAX_SIZE).max())
         return cls(axes, low, high, height_range(points), pixel)
 
     def draw(self, overview: StudyOverview) -> U8:
         """(rows, columns) uint8 indices into the palette. A point covers at least 3 x 3 pixels.
 
-        A pixel is a ghost where at least as many dynamic points were kept as removed, else a hole where more static
-        points were removed than kept. Without ground truth, a pixel is removed where more points were removed than
-        kept.
+        A pixel is a ghost where at least as many dynamic points were kept as removed, else a hole
+        where more static points were removed than kept. Without ground truth, a pixel is removed
+        where more points were removed than kept.
         """
         import cv2
 
@@ -188,17 +224,23 @@ class View:
         def count_around(*outcomes: Outcome) -> F64:
             """Points of some outcomes in the pixels around each."""
             counts = count(*outcomes)
-            return np.asarray(cv2.boxFilter(counts, -1, splat, normalize=False, borderType=cv2.BORDER_REPLICATE))
+            return np.asarray(
+                cv2.boxFilter(counts, -1, splat, normalize=False, borderType=cv2.BORDER_REPLICATE)
+            )
 
         background = (Outcome.STATIC_KEPT,) if known else (Outcome.UNLABELLED_KEPT,)
-        kept, removed = count_around(*background), count_around(Outcome.FALSE_POSITIVE)
-        ghosts, correct = count_around(Outcome.FALSE_NEGATIVE), count_around(Outcome.DYNAMIC_REMOVED)
+        kept = count_around(*background)
+        removed = count_around(Outcome.FALSE_POSITIVE)
+        ghosts = count_around(Outcome.FALSE_NEGATIVE)
+        correct = count_around(Outcome.DYNAMIC_REMOVED)
         heights = np.full(shape, -np.inf)
         chosen = np.isin(outcome, background)
         np.maximum.at(heights.reshape(-1), index[chosen], z[chosen])
         highest = cv2.dilate(heights, np.ones(splat, np.uint8))[kept > 0]
         bottom, top = self.heights
-        shade = np.clip((highest - bottom) / max(top - bottom, 1e-3) * SHADES, 0, SHADES - 1).astype(np.uint8)
+        shade = np.clip(
+            (highest - bottom) / max(top - bottom, 1e-3) * SHADES, 0, SHADES - 1
+        ).astype(np.uint8)
 
         image = np.full(shape, BACKGROUND, np.uint8)
         if known:
@@ -217,8 +259,13 @@ class View:
             turned = overview.points @ self.axes.astype(np.float32).T
         inside = np.flatnonzero(((turned >= self.low) & (turned < self.high)).all(1))
         flat = turned[inside, :2].astype(np.float64)
-        column, row = ((flat[:, 0] - self.low[0]) / self.pixel), ((self.high[1] - flat[:, 1]) / self.pixel)
-        return np.stack([row, column], 1).astype(np.intp), overview.points[inside, 2], overview.outcome[inside]
+        column = (flat[:, 0] - self.low[0]) / self.pixel
+        row = (self.high[1] - flat[:, 1]) / self.pixel
+        return (
+            np.stack([row, column], 1).astype(np.intp),
+            overview.points[inside, 2],
+            overview.outcome[inside],
+        )
 
     def picture(self, overview: StudyOverview, title: str, caption: str, alt: str) -> Picture:
         """Draw a map as WebP, with a scale bar in the lower left corner."""
@@ -228,17 +275,25 @@ class View:
         height, width = indices.shape
         if self.box is not None:
             low, high = ((corner - self.low[:2]) / self.pixel for corner in self.box)
-            low, high = low - FRAME_GAP, high + FRAME_GAP  # so that it covers no point of the case
-            top_left, bottom_right = (int(low[0]), int(height - high[1])), (int(high[0]), int(height - low[1]))
+            # so that it covers no point of the case
+            low = low - FRAME_GAP
+            high = high + FRAME_GAP
+            top_left = (int(low[0]), int(height - high[1]))
+            bottom_right = (int(high[0]), int(height - low[1]))
             cv2.rectangle(indices, top_left, bottom_right, FRAME, 2)
         picture = np.ascontiguousarray(_PALETTE[indices][:, :, ::-1])  # OpenCV's order is BGR
         bar = min(round(self.bar / self.pixel), width - 20)
         if bar > 0 and height > 40:
-            scale, colour = (0.6 if width > MAX_SIZE[0] / 2 else 0.4), _PALETTE[-1, ::-1].tolist()
+            scale = 0.6 if width > MAX_SIZE[0] / 2 else 0.4
+            colour = _PALETTE[-1, ::-1].tolist()
             cv2.rectangle(picture, (10, height - 12), (9 + bar, height - 10), colour, cv2.FILLED)
-            cv2.putText(picture, f"{self.bar} m", (10, height - 18), cv2.FONT_HERSHEY_SIMPLEX, scale, colour)
+            cv2.putText(
+                picture, f"{self.bar} m", (10, height - 18), cv2.FONT_HERSHEY_SIMPLEX, scale, colour
+            )
         _, content = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, LOSSLESS])
-        return Picture(base64.b64encode(content.tobytes()).decode(), width, height, title, caption, alt)
+        return Picture(
+            base64.b64encode(content.tobytes()).decode(), width, height, title, caption, alt
+        )
 
 
 def legend(known: bool = True) -> list[tuple[str, str]]:
@@ -251,7 +306,8 @@ def legend(known: bool = True) -> list[tuple[str, str]]:
     }
     first = "static, kept; brighter is higher"
     if not known:
-        names, first = {TAKEN: "more removed than kept"}, "kept; brighter is higher"
+        names = {TAKEN: "more removed than kept"}
+        first = "kept; brighter is higher"
     return [("#808088", first), *((web(_COLOURS[layer]), name) for layer, name in names.items())]
 
 

@@ -73,8 +73,15 @@ class ScoreBoard:
         return next((row for row in self.rows if row.label == label), None)
 
     def best(self, name: str) -> set[str]:
-        """Labels of the rows with the highest score, rounded to two decimals as printed; empty for a single row."""
-        scores = {row.label: round(score, 2) for row in self.rows if (score := row.score(name)) is not None}
+        """Labels of the rows with the highest score, rounded to two decimals as printed.
+
+        Empty for a single row.
+        """
+        scores = {
+            row.label: round(score, 2)
+            for row in self.rows
+            if (score := row.score(name)) is not None
+        }
         return _highest(scores) if len(self.rows) > 1 else set()
 
 
@@ -99,7 +106,11 @@ def boards(study: Study) -> list[ScoreBoard]:
     labels = _labels(study, groups.values())
     titles = _titles(groups)
     return [
-        ScoreBoard(titles[key], key[1], tuple(sorted((_row(labels[run.file], run) for run in runs), key=_rank)))
+        ScoreBoard(
+            titles[key],
+            key[1],
+            tuple(sorted((_row(labels[run.file], run) for run in runs), key=_rank)),
+        )
         for key, runs in groups.items()
     ]
 
@@ -114,8 +125,13 @@ def _rank(row: ScoreRow) -> tuple[float, str]:
 
 
 def _titles(groups: Mapping[tuple[str, str], Sequence[StudyRun]]) -> dict[tuple[str, str], str]:
-    """A title for each board: the name of the sequence, with digest and scoring if the name is not unique."""
-    names = {key: " = ".join(dict.fromkeys(run.sequence for run in runs)) for key, runs in groups.items()}
+    """A title for each board.
+
+    The name of the sequence, with digest and scoring if the name is not unique.
+    """
+    names = {
+        key: " = ".join(dict.fromkeys(run.sequence for run in runs)) for key, runs in groups.items()
+    }
     digests = {name: {key[0] for key in names if names[key] == name} for name in names.values()}
     scorings = {scoring for _, scoring in groups}
     titles = {}
@@ -132,7 +148,9 @@ _LABEL_FORMS: tuple[_LabelForm, ...] = (
     lambda study, run: run.label,
     lambda study, run: f"{run.label} [{run.given.name or run.given}]",  # the path given by the user
     lambda study, run: f"{run.label} [{run.folder.name}]",
-    lambda study, run: f"{run.label} [{study.link(run.folder if run.file.name == 'result.json' else run.file)}]",
+    lambda study, run: (
+        f"{run.label} [{study.link(run.folder if run.file.name == 'result.json' else run.file)}]"
+    ),
 )
 
 
@@ -141,7 +159,9 @@ def _labels(study: Study, groups: Iterable[Sequence[StudyRun]]) -> dict[Path, st
     groups = list(groups)
     forms: dict[str, _LabelForm] = {}
     for label in dict.fromkeys(run.label for runs in groups for run in runs):
-        forms[label] = _shortest_form(study, [[run for run in runs if run.label == label] for runs in groups])
+        forms[label] = _shortest_form(
+            study, [[run for run in runs if run.label == label] for runs in groups]
+        )
     return {run.file: forms[run.label](study, run) for runs in groups for run in runs}
 
 
@@ -153,45 +173,67 @@ def _shortest_form(study: Study, groups: Sequence[Sequence[StudyRun]]) -> _Label
     return _LABEL_FORMS[-1]
 
 
-def combined_boards(study: Study, single: Sequence[ScoreBoard]) -> tuple[list[ScoreBoard], list[str]]:
-    """A board of all sequences for each scoring, with counts added up, if every method ran on every sequence.
+def combined_boards(
+    study: Study, single: Sequence[ScoreBoard]
+) -> tuple[list[ScoreBoard], list[str]]:
+    """A board of all sequences for each scoring, with counts added up, if every method ran on every
+    sequence.
 
     Returns:
         The boards, and notes: which runs are missing, and whose parameters differ.
     """
-    boards_of_all, notes = [], []
+    boards_of_all = []
+    notes = []
     for scoring in dict.fromkeys(board.scoring for board in single):
         alike = [board for board in single if board.scoring == scoring]
         labels = list(dict.fromkeys(row.label for board in alike for row in board.rows))
-        absent = [f"{label} on {board.title}" for label in labels for board in alike if board.row(label) is None]
+        absent = [
+            f"{label} on {board.title}"
+            for label in labels
+            for board in alike
+            if board.row(label) is None
+        ]
         of = f" ({scoring})" if len({board.scoring for board in single}) > 1 else ""
         if len(alike) < 2:
             continue
         if absent:
             rest = f" and {len(absent) - 3} more" if len(absent) > 3 else ""
-            notes.append(f"No scores for all sequences combined{of}: missing {', '.join(absent[:3])}{rest}.")
+            notes.append(
+                f"No scores for all sequences combined{of}: missing {', '.join(absent[:3])}{rest}."
+            )
             continue
         rows = [
-            ScoreRow(label, combined([row.result for board in alike if (row := board.row(label))])) for label in labels
+            ScoreRow(label, combined([row.result for board in alike if (row := board.row(label))]))
+            for label in labels
         ]
-        boards_of_all.append(ScoreBoard(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike)))
+        boards_of_all.append(
+            ScoreBoard(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike))
+        )
         differ = [
             row.label
             for row in rows
-            if any((r := board.row(row.label)) and r.result.parameters != row.result.parameters for board in alike)
+            if any(
+                (r := board.row(row.label)) and r.result.parameters != row.result.parameters
+                for board in alike
+            )
         ]
         if differ:
-            notes.append(f"All sequences combined{of}: {', '.join(differ)} had different parameters on some sequences.")
+            notes.append(
+                f"All sequences combined{of}: {', '.join(differ)} had different parameters on some "
+                "sequences."
+            )
     return boards_of_all, notes
 
 
 @dataclass(frozen=True)
 class Losses:
-    """The cost of a method's errors of one kind, over all sequences it ran on, with points added up.
+    """The cost of a method's errors of one kind, over all sequences it ran on, with points added
+    up.
 
     Attributes:
         cost: percentage points of SA or DA; None if undefined.
-        causes: percentage points by cause, largest first; empty for results of earlier versions, which have none.
+        causes: percentage points by cause, largest first; empty for results of earlier versions,
+            which have none.
     """
 
     cost: float | None
@@ -235,7 +277,8 @@ def by_method(every: Iterable[ScoreBoard]) -> dict[tuple[str, str], list[ScoreRo
 
 def setting(result: Result) -> str:
     """The machine and the number of threads of a runtime."""
-    machine, threads = result.environment.machine, result.runtime.threads
+    machine = result.environment.machine
+    threads = result.runtime.threads
     parts = [
         " ".join(filter(None, (machine.system, machine.arch))),
         f"{machine.cores} cores" if machine.cores else "",
@@ -245,7 +288,8 @@ def setting(result: Result) -> str:
 
 
 def fastest(board: ScoreBoard) -> set[str]:
-    """Labels of the rows with the lowest runtime, as printed, of each setting with several runtimes.
+    """Labels of the rows with the lowest runtime, as printed, of each setting with several
+    runtimes.
 
     Runtimes measured while states were recorded do not count.
     """
@@ -258,5 +302,8 @@ def fastest(board: ScoreBoard) -> set[str]:
 
 
 def n_parameters(result: Result) -> int | None:
-    """Number of parameters of a method; None for a map of another program, because its parameters are unknown."""
+    """Number of parameters of a method.
+
+    None for a map of another program, because its parameters are unknown.
+    """
     return None if result.sections.source else len(result.parameters)

@@ -17,7 +17,18 @@ _COUNTS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "
 _METRICS = (*SCORES, "precision", "IoU")
 _RUNTIME = ("mean_s", "std_s", "prepare_s", "threads", "peak_rss_mb")
 COLUMNS = (
-    *("sequence", "method", "variant", "online", "seed", "scoring", "frames", "points", *_COUNTS, *_METRICS),
+    *(
+        "sequence",
+        "method",
+        "variant",
+        "online",
+        "seed",
+        "scoring",
+        "frames",
+        "points",
+        *_COUNTS,
+        *_METRICS,
+    ),
     *(f"runtime_{name}" for name in _RUNTIME),
     *("instrumented", "machine", "n_parameters", "parameters", "sequence_digest", "labels_sha256"),
     *("recording_sha256", "recording", "command", "error"),
@@ -25,7 +36,10 @@ COLUMNS = (
 
 
 def csv_report(study: Study) -> str:
-    """Comma-separated values, one line per run, including failed ones; numbers unrounded, empty if undefined."""
+    """Comma-separated values, one line per run, including failed ones.
+
+    Numbers unrounded, empty if undefined.
+    """
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -37,7 +51,12 @@ def csv_report(study: Study) -> str:
 def _line(study: Study, run: StudyRun) -> dict[str, object]:
     result = run.result
     head: dict[str, object] = dict.fromkeys(COLUMNS)
-    head |= {"sequence": run.sequence, "method": run.method, "variant": run.variant, "error": run.error}
+    head |= {
+        "sequence": run.sequence,
+        "method": run.method,
+        "variant": run.variant,
+        "error": run.error,
+    }
     if result is None:
         return head
     return {

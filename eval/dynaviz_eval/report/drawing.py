@@ -1,4 +1,6 @@
-"""Style of figures: a colour, a marker and a dash for each method, and SVG for light and dark pages."""
+"""Style of figures: a colour, a marker and a dash for each method, and SVG for light and dark
+pages.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, FAINT = "#010203", "#040506"  # placeholders for the colours of the page
+# placeholders for the colours of the page
+INK = "#010203"
+FAINT = "#040506"
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "p")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1, 1, 1)), (0, (3, 1)))
 _REPLACED = {INK: "currentColor", FAINT: "var(--faint)"}
@@ -36,7 +40,9 @@ _STYLE: dict[Any, Any] = {
     "grid.linewidth": 0.5,
     "legend.frameon": False,
     "lines.linewidth": 1.6,
-    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
+    **dict.fromkeys(
+        ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK
+    ),
 }
 
 WIDTH = 4.6  # inches: width of a panel
@@ -46,13 +52,21 @@ POINTS = 150  # pixels of the page per inch, at most
 def line(method: str) -> dict[str, Any]:
     """Style of a method's line, the same in every report."""
     look = mark(method)
-    return {**look, "markersize": 0.65 * look["markersize"], "linestyle": DASHES[_number(method) % len(DASHES)]}
+    return {
+        **look,
+        "markersize": 0.65 * look["markersize"],
+        "linestyle": DASHES[_number(method) % len(DASHES)],
+    }
 
 
 def mark(method: str) -> dict[str, Any]:
     """Style of a method's marker, the same in every report."""
     marker = MARKERS[_number(method) % len(MARKERS)]
-    return {"color": web(method_colour(method)), "marker": marker, "markersize": 11 if marker == "*" else 8}
+    return {
+        "color": web(method_colour(method)),
+        "marker": marker,
+        "markersize": 11 if marker == "*" else 8,
+    }
 
 
 def _number(method: str) -> int:
@@ -67,7 +81,9 @@ def style() -> Iterator[None]:
     try:
         import matplotlib as mpl
     except ModuleNotFoundError:
-        raise MissingDependency("reports need matplotlib. Install it with: pip install matplotlib") from None
+        raise MissingDependency(
+            "reports need matplotlib. Install it with: pip install matplotlib"
+        ) from None
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
@@ -97,9 +113,14 @@ def svg(figure: Figure, name: str, title: str) -> str:
 
     import matplotlib as mpl
 
-    text, width = io.StringIO(), round(POINTS * figure.get_figwidth())
+    text = io.StringIO()
+    width = round(POINTS * figure.get_figwidth())
     with mpl.rc_context({"svg.hashsalt": name}):
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        figure.savefig(
+            text,
+            format="svg",
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )
     body = text.getvalue()
     body = body[body.index("<svg") :]
     body = re.sub(r"\s*<metadata>.*?</metadata>", "", body, flags=re.DOTALL)

@@ -1,4 +1,7 @@
-"""Tables of errors: accuracy lost by cause, accuracy by range and height; without ground truth, removed points."""
+"""Tables of errors: accuracy lost by cause, accuracy by range and height.
+
+Without ground truth, removed points.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,9 @@ def cause_table(single: Sequence[ScoreBoard], order: Sequence[str]) -> Table:
     causes = {kind: _causes([found[key, kind] for key in keys]) for kind in KINDS}
     columns = [Column("method", number=False)]
     for kind, (score, _, _) in KINDS.items():
-        columns += [Column(name, f"{ERRORS[kind]}, {score} lost [%]") for name in ("all", *causes[kind])]
+        columns += [
+            Column(name, f"{ERRORS[kind]}, {score} lost [%]") for name in ("all", *causes[kind])
+        ]
     rows = []
     for key in keys:
         row = [named(", ".join(key) if several else key[0])]
@@ -73,7 +78,8 @@ def _cell(cost: float, most: float) -> Value:
 
 def _cause_notes(groups: Mapping[tuple[str, str], Sequence[ScoreRow]]) -> list[str]:
     notes = [
-        "Percentage points, over the sequences that a method ran on, with points added up. eval/README.md explains the "
+        "Percentage points, over the sequences that a method ran on, with points added up. "
+        "eval/README.md explains the "
         "causes."
     ]
     most = max((len(mine) for mine in groups.values()), default=0)
@@ -92,7 +98,8 @@ def intervals(row: ScoreRow, of: str) -> tuple[IntervalRow, ...]:
 
 def interval_name(interval: IntervalRow | RemovedInterval) -> str:
     """An interval in metres, such as ``10-20``."""
-    low, high = interval.low, interval.high
+    low = interval.low
+    high = interval.high
     if low is None:
         return "all" if high is None else f"< {high:g}"
     return f"≥ {low:g}" if high is None else f"{low:g}–{high:g}"
@@ -103,14 +110,22 @@ TITLES = {"range": "range from the sensor", "height": "height above the ground"}
 
 def interval_table(board: ScoreBoard, of: str, number: int) -> Table:
     """SA and DA of each method by ``range`` or ``height``."""
-    drawn = [row for row in best_of_each_method(board) if intervals(row, of)] if board.has_truth else []
+    drawn = (
+        [row for row in best_of_each_method(board) if intervals(row, of)] if board.has_truth else []
+    )
     names = [interval_name(each) for each in intervals(drawn[0], of)] if drawn else []
     columns = [Column("method", number=False)]
-    columns += [Column(name, f"{score} [%] by {of} [m]") for score in ("SA", "DA") for name in names]
+    columns += [
+        Column(name, f"{score} [%] by {of} [m]") for score in ("SA", "DA") for name in names
+    ]
     rows = []
     for row in drawn:
         if [interval_name(each) for each in intervals(row, of)] == names:
-            scores = [percent(getattr(each, score)) for score in ("SA", "DA") for each in intervals(row, of)]
+            scores = [
+                percent(getattr(each, score))
+                for score in ("SA", "DA")
+                for each in intervals(row, of)
+            ]
             rows.append([named(row.label), *scores])
     return Table(f"{of}-{number}", f"Accuracy by {TITLES[of]}: {board.title}", columns, rows)
 
@@ -119,17 +134,25 @@ REASONS = 3  # in a row
 
 
 def removal_table(board: ScoreBoard, number: int) -> Table:
-    """Removed points of each method: number, share, share by range, and main reasons; empty with ground truth."""
+    """Removed points of each method: number, share, share by range, and main reasons.
+
+    Empty with ground truth.
+    """
     found = [] if board.has_truth else [(row, row.result.sections.removals) for row in board.rows]
     known = [(row, removals) for row, removals in found if removals is not None]
     names = [interval_name(each) for each in known[0][1].range] if known else []
-    columns = [Column("method", number=False), Column("points", "removed"), Column("share [%]", "removed")]
+    columns = [
+        Column("method", number=False),
+        Column("points", "removed"),
+        Column("share [%]", "removed"),
+    ]
     columns += [Column(name, "removed by range [m], [%]") for name in names]
     columns += [Column("main reasons", number=False)]
     rows = []
     for row, removals in known:
         shares = {
-            interval_name(each): 100 * each.removed / each.points if each.points else None for each in removals.range
+            interval_name(each): 100 * each.removed / each.points if each.points else None
+            for each in removals.range
         }
         rows.append(
             [
@@ -140,12 +163,17 @@ def removal_table(board: ScoreBoard, number: int) -> Table:
                 Value(_reasons(removals.reasons, removals.removed)),
             ]
         )
-    notes = ["There is no ground truth, so it is unknown which of these points were removed rightly."]
+    notes = [
+        "There is no ground truth, so it is unknown which of these points were removed rightly."
+    ]
     return Table(f"removals-{number}", f"Removed points: {board.title}", columns, rows, notes)
 
 
 def _reasons(reasons: Mapping[str, int], whole: int) -> str:
     if not whole:
         return "none removed"
-    listed = [f"{name.replace('_', ' ')} {100 * n / whole:.0f} %" for name, n in list(reasons.items())[:REASONS]]
+    listed = [
+        f"{name.replace('_', ' ')} {100 * n / whole:.0f} %"
+        for name, n in list(reasons.items())[:REASONS]
+    ]
     return ", ".join(listed) or NONE

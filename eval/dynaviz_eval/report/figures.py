@@ -1,6 +1,7 @@
 """The figures of a report, as SVG. Each function returns None if there is nothing to draw.
 
-Each panel is an SVG of its own, so that a page can place them side by side or, on a phone, one below the other.
+Each panel is an SVG of its own, so that a page can place them side by side or, on a phone, one
+below the other.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ class ReportFigure:
     caption: str
 
 
-def _figure(name: str, caption: str, count: int, height: float, draw: Callable[[int, Axes], str]) -> ReportFigure:
+def _figure(
+    name: str, caption: str, count: int, height: float, draw: Callable[[int, Axes], str]
+) -> ReportFigure:
     """Draw panels; ``draw`` draws a panel by number and returns its description."""
     drawn = []
     with style():
@@ -51,12 +54,20 @@ def scores(boards: Sequence[ScoreBoard]) -> ReportFigure | None:
 
     def draw(number: int, axes: Axes) -> str:
         board = drawn[number]
-        points = [(r, r.score("SA") or 0.0, r.score("DA") or 0.0) for r in board.rows if r.score("AA") is not None]
-        low = [max(0.0, value - 4) for value in (min(p[1] for p in points), min(p[2] for p in points))]
+        points = [
+            (r, r.score("SA") or 0.0, r.score("DA") or 0.0)
+            for r in board.rows
+            if r.score("AA") is not None
+        ]
+        low = [
+            max(0.0, value - 4) for value in (min(p[1] for p in points), min(p[2] for p in points))
+        ]
         _iso(axes, low)
         for row, sa, da in points:
             axes.plot(sa, da, linestyle="", **mark(row.result.method))
-        axes.set(title=board.title, xlabel="SA [%]: static kept", xlim=(low[0], 101), ylim=(low[1], 101))
+        axes.set(
+            title=board.title, xlabel="SA [%]: static kept", xlim=(low[0], 101), ylim=(low[1], 101)
+        )
         axes.set_ylabel("DA [%]: dynamic removed")
         label_marks(axes, _named([(sa, da, row) for row, sa, da in points]))
         return f"Static against dynamic accuracy on {board.title}"
@@ -73,7 +84,13 @@ def speed(boards: Sequence[ScoreBoard]) -> ReportFigure | None:
         rows = _timed(drawn[number])
         for row in rows:
             hollow: dict[str, Any] = {"markerfacecolor": "none"} if row.result.instrumented else {}
-            axes.plot(_seconds(row), row.score("AA") or 0.0, linestyle="", **mark(row.result.method), **hollow)
+            axes.plot(
+                _seconds(row),
+                row.score("AA") or 0.0,
+                linestyle="",
+                **mark(row.result.method),
+                **hollow,
+            )
         axes.margins(0.12)
         axes.set(title=drawn[number].title, xlabel="seconds per frame (log)", ylabel="AA [%]")
         _log(axes)
@@ -86,7 +103,9 @@ def speed(boards: Sequence[ScoreBoard]) -> ReportFigure | None:
     return _figure("speed", caption, len(drawn), 3.4, draw) if drawn else None
 
 
-MOST_NAMES = 16  # marks of a panel with a name; of more, only the best variant of each method has one
+MOST_NAMES = (
+    16  # marks of a panel with a name; of more, only the best variant of each method has one
+)
 
 
 def _named(points: Sequence[tuple[float, float, ScoreRow]]) -> list[tuple[float, float, str]]:
@@ -102,11 +121,17 @@ def _named(points: Sequence[tuple[float, float, ScoreRow]]) -> list[tuple[float,
 
 def accuracy_by(board: ScoreBoard, name: str, of: str) -> ReportFigure | None:
     """SA and DA by ``range`` or ``height``."""
-    drawn = [row for row in best_of_each_method(board) if intervals(row, of)] if board.has_truth else []
+    drawn = (
+        [row for row in best_of_each_method(board) if intervals(row, of)] if board.has_truth else []
+    )
     if not drawn:
         return None
     ticks = [interval_name(each) for each in intervals(drawn[0], of)]
-    kinds = [(score, right, wrong) for score, right, wrong in KINDS.values() if _any_score(drawn, of, score)]
+    kinds = [
+        (score, right, wrong)
+        for score, right, wrong in KINDS.values()
+        if _any_score(drawn, of, score)
+    ]
 
     def draw(number: int, axes: Axes) -> str:
         score, right, wrong = kinds[number]
@@ -118,7 +143,11 @@ def accuracy_by(board: ScoreBoard, name: str, of: str) -> ReportFigure | None:
             axes.plot(range(len(here)), values, **{**look, "marker": ""})
             few = np.array([getattr(each, right) + getattr(each, wrong) < FEW for each in here])
             for face, chosen in ({}, ~few), ({"markerfacecolor": "none"}, few):
-                axes.plot(np.flatnonzero(chosen), np.array(values)[chosen], **{**look, **face, "linestyle": ""})
+                axes.plot(
+                    np.flatnonzero(chosen),
+                    np.array(values)[chosen],
+                    **{**look, **face, "linestyle": ""},
+                )
             known = [(at, value) for at, value in enumerate(values) if not np.isnan(value)]
             ends += [(*known[-1], row.label, look["color"])] if known else []
         said = "static kept" if score == "SA" else "dynamic removed"
@@ -127,7 +156,9 @@ def accuracy_by(board: ScoreBoard, name: str, of: str) -> ReportFigure | None:
         label_ends(axes, ends)
         return f"{score} against {TITLES[of]} on {board.title}"
 
-    caption = f"Accuracy against {TITLES[of]} on {board.title}. Hollow markers: fewer than {FEW} points."
+    caption = (
+        f"Accuracy against {TITLES[of]} on {board.title}. Hollow markers: fewer than {FEW} points."
+    )
     caption += BEST * (len(drawn) < len(board.rows))
     return _figure(name, caption, len(kinds), 3.2, draw) if kinds else None
 
@@ -157,7 +188,8 @@ def distances(board: ScoreBoard, name: str) -> ReportFigure | None:
         return f"{title} on {board.title}".replace("\n", " ")
 
     caption = (
-        f"Distances from wrong points to correct ones on {board.title}. Bars: share of a method's wrong points per "
+        f"Distances from wrong points to correct ones on {board.title}. Bars: share of a method's "
+        "wrong points per "
         "5 cm, each row scaled to its own maximum. Dashed line: 10 % of the points are nearer. "
         "Right: number of wrong points."
     )
@@ -168,24 +200,48 @@ def distances(board: ScoreBoard, name: str) -> ReportFigure | None:
 def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str) -> None:
     section = row.result.sections.error_distance.get(kind, ErrorDistances())
     histogram = section.histogram
-    number = row.result.counts.get("dynamic_kept" if kind == "false_negative" else "static_removed", 0)
+    number = row.result.counts.get(
+        "dynamic_kept" if kind == "false_negative" else "static_removed", 0
+    )
     axes.axhline(base, color=FAINT, linewidth=0.8)
     if not histogram or not sum(histogram):
-        axes.text(0.02, base + 0.2, "no correct points" if number else "no errors", fontsize=7.5, color=INK)
+        axes.text(
+            0.02,
+            base + 0.2,
+            "no correct points" if number else "no errors",
+            fontsize=7.5,
+            color=INK,
+        )
     else:
         shares = np.array(histogram, float) / max(histogram)
         edges = np.arange(len(histogram)) * BIN
         colour = mark(row.result.method)["color"]
-        for heights, ends in ((shares[:-1], edges), (shares[-1:], LIMIT + 0.06 + np.array([0, BIN]))):
-            axes.stairs(base + 0.8 * heights, ends, baseline=base, fill=True, color=colour, linewidth=0)
+        for heights, ends in (
+            (shares[:-1], edges),
+            (shares[-1:], LIMIT + 0.06 + np.array([0, BIN])),
+        ):
+            axes.stairs(
+                base + 0.8 * heights, ends, baseline=base, fill=True, color=colour, linewidth=0
+            )
         if section.p10 is not None:
-            axes.plot([section.p10] * 2, [base, base + 0.9], color=INK, linestyle=(0, (2, 1)), linewidth=1.3)
-    axes.text(LIMIT + 0.33, base + 0.45, f"{number:,}", fontsize=7.5, ha="right", va="bottom", color=INK)
+            axes.plot(
+                [section.p10] * 2,
+                [base, base + 0.9],
+                color=INK,
+                linestyle=(0, (2, 1)),
+                linewidth=1.3,
+            )
+    axes.text(
+        LIMIT + 0.33, base + 0.45, f"{number:,}", fontsize=7.5, ha="right", va="bottom", color=INK
+    )
 
 
 @dataclass(frozen=True)
 class _Variants:
-    """A panel of variants of one method: two scores, of which the second and possibly minus the first is to be high."""
+    """A panel of variants of one method.
+
+    Two scores, of which the second and possibly minus the first is to be high.
+    """
 
     method: str
     rows: Sequence[ScoreRow]
@@ -197,7 +253,10 @@ class _Variants:
 
 
 def pareto(board: ScoreBoard, name: str) -> ReportFigure | None:
-    """Variants of each method that has several: SA against DA, AA against runtime, with the Pareto front."""
+    """Variants of each method that has several.
+
+    SA against DA, AA against runtime, with the Pareto front.
+    """
     variants: dict[str, list[ScoreRow]] = {}
     for row in board.rows:
         if row.score("AA") is not None:
@@ -208,14 +267,22 @@ def pareto(board: ScoreBoard, name: str) -> ReportFigure | None:
         if len(rows) > 1:
             views.append(_Variants(method, rows, "SA [%]", "DA [%]", _score("SA"), _score("DA")))
         if len(timed) > 1:
-            views.append(_Variants(method, timed, "seconds per frame (log)", "AA [%]", _seconds, _score("AA"), True))
+            views.append(
+                _Variants(
+                    method, timed, "seconds per frame (log)", "AA [%]", _seconds, _score("AA"), True
+                )
+            )
 
     def draw(number: int, axes: Axes) -> str:
         _draw_variants(axes, views[number])
-        return f"Variants of {views[number].method}: {views[number].ylabel} against {views[number].xlabel}"
+        return (
+            f"Variants of {views[number].method}: {views[number].ylabel} against "
+            f"{views[number].xlabel}"
+        )
 
     caption = (
-        f"Variants on {board.title}. Filled and joined: variants that no other variant beats in both; "
+        f"Variants on {board.title}. Filled and joined: variants that no other variant beats in "
+        "both; "
         "hollow: all others."
     )
     return _figure(name, caption, len(views), 3.2, draw) if views else None
@@ -224,7 +291,8 @@ def pareto(board: ScoreBoard, name: str) -> ReportFigure | None:
 def _draw_variants(axes: Axes, view: _Variants) -> None:
     sign = -1 if view.fast else 1
     front = _front([(sign * view.x(row), view.y(row)) for row in view.rows])
-    look, places = mark(view.method), [(view.x(row), view.y(row)) for row in view.rows]
+    look = mark(view.method)
+    places = [(view.x(row), view.y(row)) for row in view.rows]
     axes.plot(*zip(*places, strict=True), linestyle="", markerfacecolor="none", **look)
     axes.plot(*zip(*sorted(places[k] for k in front), strict=True), **look)
     axes.margins(0.18)
@@ -237,7 +305,11 @@ def _draw_variants(axes: Axes, view: _Variants) -> None:
 
 def _front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Indices of the points that no other point beats in both coordinates; larger is better."""
-    return [k for k, (a, b) in enumerate(points) if not any(c >= a and d >= b and (c > a or d > b) for c, d in points)]
+    return [
+        k
+        for k, (a, b) in enumerate(points)
+        if not any(c >= a and d >= b and (c > a or d > b) for c, d in points)
+    ]
 
 
 def _score(name: str) -> Callable[[ScoreRow], float]:
@@ -260,7 +332,15 @@ def _iso(axes: Axes, low: Sequence[float]) -> None:
         axes.plot(sa, aa * aa / sa, color=FAINT, linewidth=1.0, zorder=0.5)
         at = aa * aa / 101
         if low[1] < at and at - last > 0.07 * (101 - low[1]):
-            axes.text(101.3 - 0.003 * low[0], at, f" {aa}", fontsize=7, color=INK, va="center", clip_on=False)
+            axes.text(
+                101.3 - 0.003 * low[0],
+                at,
+                f" {aa}",
+                fontsize=7,
+                color=INK,
+                va="center",
+                clip_on=False,
+            )
             last = at
     axes.text(1.01, 1.0, "AA", transform=axes.transAxes, fontsize=7, color=INK, va="center")
     axes.grid(False)

@@ -1,4 +1,6 @@
-"""A gallery of cases: the same crop of each method's map, next to the raw map and the truth (paper, Fig. 6)."""
+"""A gallery of cases: the same crop of each method's map, next to the raw map and the truth (paper,
+Fig. 6).
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ class GalleryRow:
     seen_from: str
 
 
-def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[str, StudyOverview]) -> list[GalleryRow]:
+def gallery(
+    cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[str, StudyOverview]
+) -> list[GalleryRow]:
     """Draw each case as left by each method.
 
     Args:
@@ -64,7 +68,11 @@ def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[s
         alt = f"{case.title}, seen {seen_from}"
         pictures = [view.picture(raw(reference), "before", "raw map", f"{alt}: raw map")]
         if has_truth(reference):
-            pictures.append(view.picture(corrected(reference), "truth", "dynamic in blue", f"{alt}: ground truth"))
+            pictures.append(
+                view.picture(
+                    corrected(reference), "truth", "dynamic in blue", f"{alt}: ground truth"
+                )
+            )
         for label in labels:
             if label in found:
                 spot = case.spot(label)
@@ -78,7 +86,8 @@ def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[s
 def crop(spot: Spot, overview: StudyOverview) -> tuple[View, str]:
     """A view of a case, from above or from the side, whichever shows more of it.
 
-    Its points fill about two thirds of the width. Of what lies in front of it or behind it, only ``DEPTH`` is drawn.
+    Its points fill about two thirds of the width. Of what lies in front of it or behind it, only
+    ``DEPTH`` is drawn.
 
     Returns:
         The view, and in words where the viewer is.
@@ -88,23 +97,34 @@ def crop(spot: Spot, overview: StudyOverview) -> tuple[View, str]:
     flat = points @ upright(turn).T
     size = np.ptp(flat, axis=0)
     above = bool(size[1] >= size[2])
-    axes = upright(turn) if above else np.array([[*turn[0], 0.0], [0.0, 0.0, 1.0], [*-turn[1], 0.0]])
+    axes = (
+        upright(turn) if above else np.array([[*turn[0], 0.0], [0.0, 0.0, 1.0], [*-turn[1], 0.0]])
+    )
     turned = points @ axes.T
     box = turned.min(0), turned.max(0)
-    middle, size = (box[0] + box[1]) / 2, box[1] - box[0]
+    middle = (box[0] + box[1]) / 2
+    size = box[1] - box[0]
     ratio = SIZE[0] / SIZE[1]
     width = max(SMALLEST, AROUND * float(size[0]), AROUND * ratio * float(size[1]))
     half = np.array([width, width / ratio, float(size[2]) + 2 * DEPTH]) / 2
-    near = overview.points[np.abs(overview.points @ axes.T.astype(np.float32) - middle).max(1) < half.max()]
+    near = overview.points[
+        np.abs(overview.points @ axes.T.astype(np.float32) - middle).max(1) < half.max()
+    ]
     heights = height_range(near.astype(np.float64) if len(near) else points)
     bar = max((length for length in BARS if length <= width / 3), default=BARS[0])
-    view = View(axes, middle - half, middle + half, heights, width / SIZE[0], bar, (box[0][:2], box[1][:2]))
+    view = View(
+        axes, middle - half, middle + half, heights, width / SIZE[0], bar, (box[0][:2], box[1][:2])
+    )
     return view, "from above" if above else "from the side"
 
 
 def _points(spot: Spot, overview: StudyOverview) -> F64:
-    """(N, 3) the case's wrong points in a recorded map; the corners of its box if they were not recorded."""
-    low, high = np.array(spot.low), np.array(spot.high)
+    """(N, 3) the case's wrong points in a recorded map.
+
+    The corners of its box if they were not recorded.
+    """
+    low = np.array(spot.low)
+    high = np.array(spot.high)
     points = overview.points[np.isin(overview.outcome, _OUTCOMES[spot.kind])].astype(np.float64)
     points = points[((points >= low - 0.01) & (points <= high + 0.01)).all(1)]
     if len(points) < 2:

@@ -1,4 +1,7 @@
-"""A report as a self-contained HTML page: sortable tables, figures, maps, and a gallery of failure cases."""
+"""A report as a self-contained HTML page.
+
+Sortable tables, figures, maps, and a gallery of failure cases.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ OBJECTS = 12  # drawn over time
 
 
 def html_report(study: Study) -> str:
-    """A self-contained HTML page: sortable tables, figures, maps, and a gallery of failure cases."""
+    """A self-contained HTML page.
+
+    Sortable tables, figures, maps, and a gallery of failure cases.
+    """
     content = tables(study)
     steps = len(content.boards) + 1
     study.progress("drawing", 1, steps)
@@ -30,13 +36,17 @@ def html_report(study: Study) -> str:
     for number, (board, of_board) in enumerate(zip(content.boards, content.by_board, strict=True)):
         parts.append(_part(study, board, of_board, number))
         study.progress("drawing", number + 2, steps)
-    scores, speed = figures.scores(content.boards), figures.speed(content.boards)
+    scores = figures.scores(content.boards)
+    speed = figures.speed(content.boards)
     runs = {label: commands(study, rows) for (label, _), rows in by_method(content.boards).items()}
     return _rendered(content=content, scores=scores, speed=speed, parts=parts, runs=runs)
 
 
 def commands(study: Study, rows: Sequence[ScoreRow]) -> list[dict[str, str]]:
-    """How to explore the recorded runs of a method: of each its sequence, the command, and a link to the recording."""
+    """How to explore the recorded runs of a method.
+
+    Of each its sequence, the command, and a link to the recording.
+    """
     return [
         {
             "sequence": row.result.sequence.name,
@@ -52,7 +62,9 @@ def _rendered(**values: Any) -> str:
     """The page from its template."""
     from jinja2 import Environment, StrictUndefined
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     environment.filters |= {"groupwise": groupwise, "starts": starts}
     template = resources.files(__package__).joinpath("page.html.jinja").read_text("utf-8")
     return environment.from_string(template).render(**values) + "\n"
@@ -75,7 +87,9 @@ def _part(study: Study, board: ScoreBoard, of_board: BoardTables, number: int) -
         "gallery": gallery(of_board.cases, labels, found),
         "gallery_note": note(board.has_truth),
         "legend": birdseye.legend(board.has_truth),
-        "objects": shared_objects({row.label: row.result.failures for row in best_of_each_method(board)})[:OBJECTS],
+        "objects": shared_objects(
+            {row.label: row.result.failures for row in best_of_each_method(board)}
+        )[:OBJECTS],
         "states": {state: web(colour) for state, colour in span_colours(ghost=True).items()},
         "notes": notes,
     }
@@ -89,4 +103,8 @@ def groupwise(columns: Sequence[Column]) -> list[dict[str, object]]:
 
 def starts(columns: Sequence[Column]) -> list[int]:
     """Indices of the columns in which a group starts."""
-    return [k for k, (a, b) in enumerate(itertools.pairwise(columns), 1) if b.group and a.group != b.group]
+    return [
+        k
+        for k, (a, b) in enumerate(itertools.pairwise(columns), 1)
+        if b.group and a.group != b.group
+    ]

@@ -32,7 +32,8 @@ def label_marks(axes: Axes, marks: Sequence[tuple[float, float, str]]) -> None:
 
     Args:
         axes: of a figure with 72 dots per inch, so that dots are points.
-        marks: x, y (data coordinates) and name of each mark. Marks without a name are only kept free.
+        marks: x, y (data coordinates) and name of each mark. Marks without a name are only kept
+            free.
     """
     _settle(axes)
     at = axes.transData.transform([(x, y) for x, y, _ in marks]) if marks else np.empty((0, 2))
@@ -43,9 +44,14 @@ def label_marks(axes: Axes, marks: Sequence[tuple[float, float, str]]) -> None:
         if name:
             box, offset, far = _free(place, name, taken, inside)
             taken.append(box)
-            arrow = {"arrowstyle": "-", "color": INK, "linewidth": 0.5, "shrinkA": 0, "shrinkB": 3} if far else None
+            arrow = (
+                {"arrowstyle": "-", "color": INK, "linewidth": 0.5, "shrinkA": 0, "shrinkB": 3}
+                if far
+                else None
+            )
             axes.annotate(
-                name, (x, y), offset, textcoords="offset points", ha="left", va="bottom", fontsize=SIZE, color=INK,
+                name, (x, y), offset, textcoords="offset "
+                "points", ha="left", va="bottom", fontsize=SIZE, color=INK,
                 arrowprops=arrow, annotation_clip=False,
             )  # fmt: skip
 
@@ -58,24 +64,31 @@ def label_ends(axes: Axes, ends: Sequence[tuple[float, float, str, str]]) -> Non
         ends: x, y (data coordinates), name and colour of each line.
     """
     notes = [
-        axes.annotate(_short(name), (1, 0.5), (20, 0), xycoords="axes fraction", textcoords="offset points",
+        axes.annotate(_short(name), (1, 0.5), (20, 0), xycoords="axes "
+        "fraction", textcoords="offset points",
                       fontsize=SIZE, color=INK, va="center", annotation_clip=False)
         for _, _, name, _ in ends
     ]  # fmt: skip
     _settle(axes)
     heights = [float(axes.transData.transform((x, y))[1]) for x, y, _, _ in ends]
-    for note, (x, y, _, colour), height in zip(notes, ends, _spread(heights, axes.bbox.y0, axes.bbox.y1), strict=True):
+    for note, (x, y, _, colour), height in zip(
+        notes, ends, _spread(heights, axes.bbox.y0, axes.bbox.y1), strict=True
+    ):
         fraction = (height - axes.bbox.y0) / axes.bbox.height
         note.xy = (1, fraction)
         start = axes.transAxes.inverted().transform(axes.transData.transform((x, y)))
         axes.plot(
-            [start[0], 1 + 17 / axes.bbox.width], [start[1], fraction], transform=axes.transAxes, color=colour,
+            [start[0], 1 + 17 / axes.bbox.width], [start[1], fraction], transform=axes.transAxes,
+            color=colour,
             linewidth=1.0, clip_on=False,
         )  # fmt: skip
 
 
 def _short(name: str) -> str:
-    """The name without its middle if it would leave no room for the lines; a path differs at its end."""
+    """The name without its middle if it would leave no room for the lines.
+
+    A path differs at its end.
+    """
     return name if len(name) <= LONGEST else f"{name[: LONGEST // 2]}…{name[-LONGEST // 2 + 1 :]}"
 
 
@@ -90,18 +103,27 @@ def _settle(axes: Axes) -> None:
     axes.autoscale(False)
 
 
-def _free(place: F64, name: str, taken: Sequence[Box], inside: Box) -> tuple[Box, tuple[float, float], bool]:
+def _free(
+    place: F64, name: str, taken: Sequence[Box], inside: Box
+) -> tuple[Box, tuple[float, float], bool]:
     """The nearest free box for a name; the least covered one if none is free.
 
     Returns:
-        The box, the offset of its lower left corner from the mark, and whether it is far from the mark.
+        The box, the offset of its lower left corner from the mark, and whether it is far from the
+        mark.
     """
-    width, height = ADVANCE * SIZE * len(name), LINE * SIZE
+    width = ADVANCE * SIZE * len(name)
+    height = LINE * SIZE
     best: tuple[float, Box, tuple[float, float], bool] | None = None
     for radius, (right, up) in itertools.product(RADII, DIRECTIONS):
         left = {1: radius, 0: -width / 2, -1: -radius - width}[right]
         bottom = {1: radius, 0: -height / 2, -1: -radius - height}[up]
-        box = place[0] + left, place[1] + bottom, place[0] + left + width, place[1] + bottom + height
+        box = (
+            place[0] + left,
+            place[1] + bottom,
+            place[0] + left + width,
+            place[1] + bottom + height,
+        )
         cost = sum(_shared(box, other) for other in taken) + _outside(box, inside)
         if best is None or cost < best[0]:
             best = cost, box, (left, bottom), radius > RADII[1]
@@ -122,7 +144,9 @@ def _outside(box: Box, inside: Box) -> float:
 
 
 def _spread(heights: Sequence[float], low: float, high: float) -> list[float]:
-    """Move heights apart by at least a line of text, keeping their order, inside an interval if they fit."""
+    """Move heights apart by at least a line of text, keeping their order, inside an interval if
+    they fit.
+    """
     step = LINE * SIZE
     order = sorted(range(len(heights)), key=lambda k: heights[k])
     placed = dict.fromkeys(order, low)

@@ -17,7 +17,10 @@ Key = tuple[int | None, int | None]  # class and instance
 
 @dataclass(frozen=True)
 class Fate:
-    """What one method did to one object: the object's counts, and the main reason of the points it kept."""
+    """What one method did to one object.
+
+    The object's counts, and the main reason of the points it kept.
+    """
 
     row: ObjectRow
     reason: str
@@ -32,17 +35,29 @@ def object_table(board: ScoreBoard, number: int) -> Table:
     """One row per object, the objects with the most points at stake first."""
     runs = [row for row in best_of_each_method(board) if _objects(row)]
     fates = {run.label: _fates(run) for run in runs}
-    keys = sorted({key for by in fates.values() for key in by}, key=lambda key: _at_stake(key, fates.values()))
+    keys = sorted(
+        {key for by in fates.values() for key in by}, key=lambda key: _at_stake(key, fates.values())
+    )
     wrong = [key for key in keys if _at_stake(key, fates.values())[0] < 0]
     names = class_names(runs)
-    columns = [Column("object", number=False), Column("frames"), Column("points"), Column("kept by", number=False)]
+    columns = [
+        Column("object", number=False),
+        Column("frames"),
+        Column("points"),
+        Column("kept by", number=False),
+    ]
     columns += [Column(run.label, "removed by each method [%]") for run in runs]
     rows = [_row(key, [fates[run.label].get(key) for run in runs], names) for key in wrong[:MOST]]
     notes = [
-        f"Kept: less than {HALF:.0f} % of the object's dynamic points were removed. Reasons: different main reasons of "
+        f"Kept: less than {HALF:.0f} % of the object's dynamic points were removed. Reasons: "
+        "different main reasons of "
         "the methods that kept it. Points: dynamic points of all frames.",
         "Objects on which many points are wrong, or on which the methods disagree, come first"
-        + (f"; {many(len(wrong) - MOST, 'object')} with errors not listed." if len(wrong) > MOST else "."),
+        + (
+            f"; {many(len(wrong) - MOST, 'object')} with errors not listed."
+            if len(wrong) > MOST
+            else "."
+        ),
     ]
     details = "Next to each share: the main reason of the points that were kept."
     return Table(f"objects-{number}", f"Objects: {board.title}", columns, rows, notes, details)
@@ -77,7 +92,9 @@ def _key(of: ObjectRow) -> Key:
 
 
 def _at_stake(key: Key, fates: Iterable[Mapping[Key, Fate]]) -> tuple[float, int, int]:
-    """Sort key: the most points that a method kept, and the disagreement of the methods, largest first."""
+    """Sort key: the most points that a method kept, and the disagreement of the methods, largest
+    first.
+    """
     kept = [by[key].row.dynamic_kept for by in fates if key in by]
     return -(2 * max(kept) - min(kept)), key[0] or 0, key[1] or 0
 

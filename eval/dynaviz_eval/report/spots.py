@@ -1,4 +1,7 @@
-"""The costliest failure cases over all methods of a sequence. Cases of several methods at one place are one spot."""
+"""The costliest failure cases over all methods of a sequence.
+
+Cases of several methods at one place are one spot.
+"""
 
 from __future__ import annotations
 
@@ -54,11 +57,13 @@ class Spot:
     @classmethod
     def of_case(cls, label: str, case: FailureCase, number: int) -> Spot:
         """From a failure case."""
-        size, unit = f"{case.cost:.2f}" if case.cost >= TINY else "<0.01", f"{case.metric} lost"
+        size = f"{case.cost:.2f}" if case.cost >= TINY else "<0.01"
+        unit = f"{case.metric} lost"
         thing = case.class_, case.instance
         cause = case.cause or next(iter(case.reasons), "")
         return cls(
-            label, case.kind, case.what, cause, case.sentence, case.cost, size, unit, case.low, case.high, thing,
+            label, case.kind, case.what, cause, case.sentence, case.cost, size, unit, case.low,
+            case.high, thing,
             case.behaviour or "", number,
         )  # fmt: skip
 
@@ -68,7 +73,8 @@ class Spot:
         cause = ", ".join(cluster.why[:1]) or next(iter(cluster.reasons), "")
         weight = cluster.suspicion * cluster.points
         return cls(
-            label, "removed", cluster.what, cause, cluster.sentence, weight, f"{cluster.points:,}", "points removed",
+            label, "removed", cluster.what, cause, cluster.sentence, weight, f"{cluster.points:,}",
+            "points removed",
             cluster.low, cluster.high, (None, None), number=number,
         )  # fmt: skip
 
@@ -83,7 +89,9 @@ class Spot:
             return False
         if self.thing[1] is not None:
             return True
-        boxes = [np.array([spot.low, spot.high]) + np.array([[-PAD], [PAD]]) for spot in (self, other)]
+        boxes = [
+            np.array([spot.low, spot.high]) + np.array([[-PAD], [PAD]]) for spot in (self, other)
+        ]
         shared = np.minimum(boxes[0][1], boxes[1][1]) - np.maximum(boxes[0][0], boxes[1][0])
         smaller = min(float(np.prod(box[1] - box[0])) for box in boxes)
         return float(np.prod(np.maximum(shared, 0))) > OVERLAP * smaller
@@ -91,7 +99,10 @@ class Spot:
 
 @dataclass(frozen=True)
 class SharedCase:
-    """A place at which methods fail: the costliest spot, and each method's own spots there, by label."""
+    """A place at which methods fail.
+
+    The costliest spot, and each method's own spots there, by label.
+    """
 
     number: int
     worst: Spot
@@ -100,12 +111,17 @@ class SharedCase:
     @property
     def heading(self) -> str:
         """Kind, what it is, and how many methods fail."""
-        what = f"{self.worst.what} {self.worst.thing[1]}" if self.worst.thing[1] else self.worst.what
+        what = (
+            f"{self.worst.what} {self.worst.thing[1]}" if self.worst.thing[1] else self.worst.what
+        )
         return f"{HEADINGS[self.worst.kind]}: {what}" if what else HEADINGS[self.worst.kind]
 
     @property
     def title(self) -> str:
-        """The heading, and what the object did: the part of a diagnosis that no method can change."""
+        """The heading, and what the object did.
+
+        The part of a diagnosis that no method can change.
+        """
         return ", ".join(part for part in (self.heading, self.worst.behaviour) if part)
 
     def spot(self, label: str) -> Spot | None:
@@ -114,7 +130,10 @@ class SharedCase:
 
 
 def shared_cases(board: ScoreBoard, most: int = MOST) -> list[SharedCase]:
-    """The places that cost most, as many ghosts as holes if there are enough of both; costliest first."""
+    """The places that cost most, as many ghosts as holes if there are enough of both.
+
+    Costliest first.
+    """
     groups: list[list[Spot]] = []
     for spot in sorted(_spots(best_of_each_method(board)), key=lambda spot: -spot.weight):
         home = next((group for group in groups if group[0].same_place(spot)), None)
@@ -135,15 +154,25 @@ def shared_cases(board: ScoreBoard, most: int = MOST) -> list[SharedCase]:
 def _spots(rows: Iterable[ScoreRow]) -> list[Spot]:
     spots = []
     for row in rows:
-        spots += [Spot.of_case(row.label, case, number) for number, case in enumerate(row.result.failures, 1)]
+        spots += [
+            Spot.of_case(row.label, case, number)
+            for number, case in enumerate(row.result.failures, 1)
+        ]
         if not row.result.has_truth:
             clusters = enumerate(row.result.clusters, 1)
-            spots += [Spot.of_cluster(row.label, cluster, number) for number, cluster in clusters if cluster.why]
+            spots += [
+                Spot.of_cluster(row.label, cluster, number)
+                for number, cluster in clusters
+                if cluster.why
+            ]
     return [spot for spot in spots if len(spot.low) == len(spot.high) == 3]
 
 
 def _chosen(groups: Sequence[list[Spot]], most: int) -> list[list[Spot]]:
-    """Half ghosts and half holes, at most ``ALIKE`` of a kind and class that did the same; then whatever costs most."""
+    """Half ghosts and half holes, at most ``ALIKE`` of a kind and class that did the same.
+
+    Then whatever costs most.
+    """
     alike: Counter[tuple[str, str, str]] = Counter()
     varied: list[list[Spot]] = []
     for group in groups:
@@ -152,7 +181,11 @@ def _chosen(groups: Sequence[list[Spot]], most: int) -> list[list[Spot]]:
         if alike[key] <= ALIKE:
             varied.append(group)
     kinds = {group[0].kind for group in varied}
-    first = [g for kind in kinds for g in [v for v in varied if v[0].kind == kind][: most // max(len(kinds), 1)]]
+    first = [
+        g
+        for kind in kinds
+        for g in [v for v in varied if v[0].kind == kind][: most // max(len(kinds), 1)]
+    ]
     rest = [group for group in (*varied, *groups) if group not in first]
     for group in rest:
         if len(first) < most and group not in first:
@@ -161,20 +194,27 @@ def _chosen(groups: Sequence[list[Spot]], most: int) -> list[list[Spot]]:
 
 
 def case_table(board: ScoreBoard, cases: Sequence[SharedCase], number: int) -> Table:
-    """One row per place: what it is, the sentence of the method that fails most, and each method's cost."""
+    """One row per place: what it is, the sentence of the method that fails most, and each method's
+    cost.
+    """
     labels = [row.label for row in best_of_each_method(board)]
     known = board.has_truth
     group = "DA (ghosts) or SA (holes) lost [%]" if known else "removed points"
     columns = [Column("case", number=False), *(Column(label, group) for label in labels)]
     rows = []
     for case in cases:
-        row = [Value(f"{case.number}. {case.heading}", float(case.number), detail=case.worst.sentence)]
+        row = [
+            Value(f"{case.number}. {case.heading}", float(case.number), detail=case.worst.sentence)
+        ]
         for label in labels:
             spot = case.spot(label)
             row.append(Value(spot.size, spot.weight, detail=spot.cause) if spot else Value(ABSENT))
         rows.append(row)
     title = f"{'Costliest cases' if known else 'Suspicious clusters'}: {board.title}"
-    details = "The description is about the method with the largest number; next to each number is the cause."
+    details = (
+        "The description is about the method with the largest number; next to each number is the "
+        "cause."
+    )
     return Table(f"cases-{number}", title, columns, rows, [note(known)], details)
 
 
@@ -182,11 +222,14 @@ def note(known: bool) -> str:
     """Explain a list of cases."""
     if known:
         return (
-            "The costliest failure cases over all methods, ghosts and holes apart; cases of several methods at one "
-            "place are one row. Numbers: percentage points of DA or SA lost to a method's largest case there; "
+            "The costliest failure cases over all methods, ghosts and holes apart; cases of "
+            "several methods at one "
+            "place are one row. Numbers: percentage points of DA or SA lost to a method's largest "
+            "case there; "
             f"{ABSENT}: the method lists no case there."
         )
     return (
-        "Removed points that look like static surfaces, the most suspicious first. There is no ground truth, so they "
+        "Removed points that look like static surfaces, the most suspicious first. There is no "
+        "ground truth, so they "
         f"may be right. {ABSENT}: the method lists no cluster there."
     )

@@ -32,7 +32,9 @@ class Value:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: its name and group, whether it contains numbers, and whether it is the main score."""
+    """A column of a table: its name and group, whether it contains numbers, and whether it is the
+    main score.
+    """
 
     name: str
     group: str = ""

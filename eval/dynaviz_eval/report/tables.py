@@ -1,4 +1,7 @@
-"""The tables of a report, the same for every format: the paper's two, an overview, errors, cases, objects and runs."""
+"""The tables of a report, the same for every format.
+
+The paper's two, an overview, errors, cases, objects and runs.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,17 @@ from dynaviz_eval.report.by_protocol import ByProtocol, protocol_table
 from dynaviz_eval.report.errors import cause_table, interval_table, removal_table
 from dynaviz_eval.report.objects import object_table
 from dynaviz_eval.report.spots import SharedCase, case_table, shared_cases
-from dynaviz_eval.report.table import ABSENT, NONE, Column, Table, Value, count, many, named, percent
+from dynaviz_eval.report.table import (
+    ABSENT,
+    NONE,
+    Column,
+    Table,
+    Value,
+    count,
+    many,
+    named,
+    percent,
+)
 
 MARK = "†"  # runtimes measured while states were recorded
 
@@ -61,7 +74,11 @@ class BoardTables:
     def every(self) -> list[Table]:
         """All tables with rows, in the order of a report."""
         first = (self.main, self.scores, self.published, self.removals, self.case_list)
-        return [table for table in (*first, self.objects, self.range, self.height) if table and table.rows]
+        return [
+            table
+            for table in (*first, self.objects, self.range, self.height)
+            if table and table.rows
+        ]
 
 
 @dataclass(frozen=True)
@@ -72,7 +89,8 @@ class Tables:
         headline: what was compared, and the best of each board, as sentences.
         boards: one per sequence and scoring; ``combined``: all sequences combined.
         glance: the overview.
-        across: sequences by methods, a table for each protocol; ``protocols``: what each protocol counts.
+        across: sequences by methods, a table for each protocol; ``protocols``: what each protocol
+            counts.
         accuracy, runtime: the paper's two.
         failures: the accuracy lost to each cause.
         by_board: the tables of each board.
@@ -97,7 +115,11 @@ class Tables:
         """All tables with rows, in the order of a report."""
         of_boards = [table for board in self.by_board for table in board.every]
         first = (self.glance, *self.across, self.failures, self.accuracy, self.runtime)
-        return [table for table in (*first, *of_boards, self.protocols, self.failed, self.runs) if table.rows]
+        return [
+            table
+            for table in (*first, *of_boards, self.protocols, self.failed, self.runs)
+            if table.rows
+        ]
 
 
 def tables(study: Study) -> Tables:
@@ -106,7 +128,10 @@ def tables(study: Study) -> Tables:
     combined, notes = combined_boards(study, _with_truth(single))
     scores = ByProtocol.of(study, single)
     return Tables(
-        [_headline(study, single), *(scores.best_of_each() if scores.infos else _best_of_each([*combined, *single]))],
+        [
+            _headline(study, single),
+            *(scores.best_of_each() if scores.infos else _best_of_each([*combined, *single])),
+        ],
         single,
         combined,
         _glance(_with_truth(single), combined),
@@ -141,8 +166,11 @@ def _of_board(scores: ByProtocol, board: ScoreBoard, number: int) -> BoardTables
 
 
 def runtime(result: Result, bold: bool = False) -> Value:
-    """Seconds per frame, mean and standard deviation, marked if recording slowed the method down."""
-    mean, std = result.runtime.mean_s, result.runtime.std_s
+    """Seconds per frame, mean and standard deviation, marked if recording slowed the
+    method down.
+    """
+    mean = result.runtime.mean_s
+    std = result.runtime.std_s
     if mean is None:
         return Value(NONE)
     mark = MARK if result.instrumented else ""
@@ -174,18 +202,25 @@ def _best_of_each(boards: Sequence[ScoreBoard]) -> list[str]:
     """The best AA of each board, as sentences."""
     lines = []
     for board in boards:
-        best, aa = sorted(board.best("AA")), [row.score("AA") for row in board.rows]
+        best = sorted(board.best("AA"))
+        aa = [row.score("AA") for row in board.rows]
         if best:
-            lines.append(f"Best on {board.title}: {' and '.join(best)}, AA {percent(aa[0]).text} %.")
+            lines.append(
+                f"Best on {board.title}: {' and '.join(best)}, AA {percent(aa[0]).text} %."
+            )
     return lines
 
 
 def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
     """The AA of each method on each sequence, and its costliest cause of errors."""
-    groups, order = by_method(single), _order(single, combined)
+    groups = by_method(single)
+    order = _order(single, combined)
     several = len({board.scoring for board in single}) > 1
     columns = [Column("method", number=False)]
-    columns += [Column(f"{board.title}", "AA [%] ↑", main=board.n_sequences > 1) for board in [*combined, *single]]
+    columns += [
+        Column(f"{board.title}", "AA [%] ↑", main=board.n_sequences > 1)
+        for board in [*combined, *single]
+    ]
     columns += [Column("worst failure", number=False), Column("SA lost [%]"), Column("DA lost [%]")]
     rows = []
     for label, scoring in sorted(groups, key=lambda key: order.index(key[0])):
@@ -200,19 +235,26 @@ def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Tab
         costs = [percent(found[kind].cost) for kind in KINDS]
         rows.append([named(name), *aas, Value(worst(found), worst(found)), *costs])
     notes = [
-        "AA = √(SA · DA). SA: share of static points that were kept. DA: share of dynamic points that were removed. "
+        "AA = √(SA · DA). SA: share of static points that were kept. DA: share of dynamic points "
+        "that were removed. "
         "The best of each column is bold.",
-        "Worst failure: the cause that costs the most percentage points of SA or DA, over all sequences that the "
+        "Worst failure: the cause that costs the most percentage points of SA or DA, over all "
+        "sequences that the "
         "method ran on, with points added up.",
     ]
     if several:
-        notes.append("Scores of different scorings (mask, nn) cannot be compared; they have separate columns.")
+        notes.append(
+            "Scores of different scorings (mask, nn) cannot be compared; they have separate "
+            "columns."
+        )
     return Table("glance", "At a glance", columns, rows, notes)
 
 
 def worst(found: dict[str, Losses]) -> str:
     """The costliest cause, in words."""
-    costs = [(cost, kind, cause) for kind, loss in found.items() for cause, cost in loss.causes.items()]
+    costs = [
+        (cost, kind, cause) for kind, loss in found.items() for cause, cost in loss.causes.items()
+    ]
     if not costs:
         return "none" if any(loss.cost == 0 for loss in found.values()) else NONE
     cost, kind, cause = max(costs)
@@ -226,15 +268,21 @@ def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
     for board in every:
         columns += [Column(f"{name} ↑", board.title, main=name == "AA") for name in SCORES]
     rows = []
-    for label in _order([b for b in every if b.n_sequences == 1], [b for b in every if b.n_sequences > 1]):
+    for label in _order(
+        [b for b in every if b.n_sequences == 1], [b for b in every if b.n_sequences > 1]
+    ):
         row = [named(label)]
         for board in every:
             here = board.row(label)
-            row += [percent(here.score(name), label in board.best(name)) if here else Value(ABSENT) for name in SCORES]
+            row += [
+                percent(here.score(name), label in board.best(name)) if here else Value(ABSENT)
+                for name in SCORES
+            ]
         rows.append(row)
     scored = sorted({board.scoring for board in every})
     notes = [
-        "Percent. SA: static points kept; DA: dynamic points removed; AA = √(SA · DA); HA = 2 · SA · DA / (SA + DA). "
+        "Percent. SA: static points kept; DA: dynamic points removed; AA = √(SA · DA); HA = 2 · SA "
+        "· DA / (SA + DA). "
         f"Scoring: {', '.join(scored)}. The best of each column is bold.",
         *(
             f"{board.title}: counts of {board.n_sequences} sequences added up."
@@ -253,11 +301,21 @@ def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
 
 def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
     """The paper's second table, with a row for each machine and number of threads."""
-    timed = [row.result for board in single for row in board.rows if row.result.runtime.mean_s is not None]
+    timed = [
+        row.result
+        for board in single
+        for row in board.rows
+        if row.result.runtime.mean_s is not None
+    ]
     settings = sorted({setting(result) for result in timed})
     several = len(settings) > 1
-    columns = [Column("method", number=False), *([Column("machine", number=False)] if several else [])]
-    columns += [Column(board.title, "runtime per frame [s] ↓") for board in single] + [Column("parameters")]
+    columns = [
+        Column("method", number=False),
+        *([Column("machine", number=False)] if several else []),
+    ]
+    columns += [Column(board.title, "runtime per frame [s] ↓") for board in single] + [
+        Column("parameters")
+    ]
     best = [fastest(board) for board in single]
     rows = []
     for label in _order(single, combined):
@@ -268,19 +326,34 @@ def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Ta
                 runtime(row.result, label in fast) if row else Value(ABSENT)
                 for row, fast in zip(chosen, best, strict=True)
             ]
-            numbers = sorted({NONE if (n := n_parameters(row.result)) is None else str(n) for row in chosen if row})
+            numbers = sorted(
+                {
+                    NONE if (n := n_parameters(row.result)) is None else str(n)
+                    for row in chosen
+                    if row
+                }
+            )
             amount = Value(", ".join(numbers), float(numbers[0]) if numbers[0].isdigit() else None)
-            rows.append([named(label), *([Value(where or NONE, where)] if several else []), *values, amount])
+            rows.append(
+                [named(label), *([Value(where or NONE, where)] if several else []), *values, amount]
+            )
     notes = [
-        "Mean and standard deviation over frames, of the method alone, without reading and recording. "
+        "Mean and standard deviation over frames, of the method alone, without reading and "
+        "recording. "
         "Parameters: number of parameters that can be tuned.",
     ]
     if several:
-        notes.append("Runtimes of different machines or thread counts cannot be compared; the fastest of each is bold.")
+        notes.append(
+            "Runtimes of different machines or thread counts cannot be compared; the fastest of "
+            "each is bold."
+        )
     elif settings:
         notes.append(f"Measured on {settings[0]}.")
     if any(row.result.instrumented for board in single for row in board.rows):
-        notes.append(f"{MARK} Measured while states were recorded: slower than the method alone, so never bold.")
+        notes.append(
+            f"{MARK} Measured while states were recorded: slower than the method alone, so never "
+            "bold."
+        )
     return Table("runtime", "Runtime and parameters", columns, rows, notes)
 
 
@@ -296,7 +369,9 @@ def match(board: ScoreBoard) -> Match | None:
 
 
 def _public(scores: ByProtocol, board: ScoreBoard, number: int) -> Table | None:
-    """Published numbers next to the board's own, which are counted as the public benchmark does if they can be."""
+    """Published numbers next to the board's own, which are counted as the public benchmark does if
+    they can be.
+    """
     known = match(board)
     if known is None:
         return None
@@ -310,10 +385,20 @@ def _public(scores: ByProtocol, board: ScoreBoard, number: int) -> Table | None:
     sources = list(dict.fromkeys(row.source for row in published(known.name)))
     speeds = {speed.method: speed for speed in published_runtimes() if speed.sequence == known.name}
     for row in published(known.name):
-        ours = next((r for r in board.rows if r.result.method == row.method and r.result.online == row.online), None)
+        ours = next(
+            (
+                r
+                for r in board.rows
+                if r.result.method == row.method and r.result.online == row.online
+            ),
+            None,
+        )
         values = [Value(ABSENT)] * len(SCORES)
         if ours:
-            mine = (scores.score(ours, PublicBenchmark.info, name) if same else ours.score(name) for name in SCORES)
+            mine = (
+                scores.score(ours, PublicBenchmark.info, name) if same else ours.score(name)
+                for name in SCORES
+            )
             values = [*map(percent, mine)]
         theirs = [percent(getattr(row, name)) for name in SCORES]
         speed = speeds.get(row.method)
@@ -322,21 +407,35 @@ def _public(scores: ByProtocol, board: ScoreBoard, number: int) -> Table | None:
             if speed and not row.online
             else Value(ABSENT)
         )
-        rows.append([named(row.title), *theirs, *values, took, count(sources.index(row.source) + 1)])
+        rows.append(
+            [named(row.title), *theirs, *values, took, count(sources.index(row.source) + 1)]
+        )
     notes = [
         known.doubt + ("" if known.same else " The published numbers are for different points."),
-        "Published scores were copied from their sources and enter no other table or rank. Poses and parameters may "
+        "Published scores were copied from their sources and enter no other table or rank. Poses "
+        "and parameters may "
         "differ. Published seconds: Intel i9-12900KF.",
     ]
     if not same:
         notes.append(
-            "Published scores were computed by nearest neighbour (nn, 0.05 m) from maps written by other programs; "
+            "Published scores were computed by nearest neighbour (nn, 0.05 m) from maps written by "
+            "other programs; "
             "compared with mask scores, they are only a rough guide."
         )
-    notes.append("Sources: " + "; ".join(f"{number} {source}" for number, source in enumerate(sources, 1)) + ".")
+    notes.append(
+        "Sources: "
+        + "; ".join(f"{number} {source}" for number, source in enumerate(sources, 1))
+        + "."
+    )
     if any(sum(r.result.method == row.result.method for r in board.rows) > 1 for row in board.rows):
         notes.append("Of several variants of a method, the one with the best AA is shown.")
-    return Table(f"published-{number}", f"Published scores of {known.name}, and {board.title}", columns, rows, notes)
+    return Table(
+        f"published-{number}",
+        f"Published scores of {known.name}, and {board.title}",
+        columns,
+        rows,
+        notes,
+    )
 
 
 def failed_table(study: Study) -> Table:
@@ -353,7 +452,11 @@ def failed_table(study: Study) -> Table:
 def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
     """Every run with its counts and the path of its recording."""
     names = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept")
-    columns = [Column("method", number=False), Column("sequence", number=False), Column("scoring", number=False)]
+    columns = [
+        Column("method", number=False),
+        Column("sequence", number=False),
+        Column("scoring", number=False),
+    ]
     columns += [Column("frames"), *(Column(name.replace("_", " "), "points") for name in names)]
     columns += [Column("labels", number=False), Column("recording", number=False)]
     rows = []
@@ -368,16 +471,26 @@ def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
                 Value(title, title),
                 Value(board.scoring, board.scoring),
                 count(row.result.sequence.frames),
-                *(count(row.result.counts.get(name) if row.result.has_truth else None) for name in names),
+                *(
+                    count(row.result.counts.get(name) if row.result.has_truth else None)
+                    for name in names
+                ),
                 Value((row.result.labels_sha256 or NONE)[:8], row.result.labels_sha256),
                 Value(path or "none", path, link=path),
             ]
         )
-    notes = ["Labels: the first digits of the digest of all labels; runs with equal digests have equal labels."]
+    notes = [
+        "Labels: the first digits of the digest of all labels; runs with equal digests have equal "
+        "labels."
+    ]
     if study.protocols:
-        notes.append("board.json next to this page has all digests in full, all counts, and the parameters.")
+        notes.append(
+            "board.json next to this page has all digests in full, all counts, and the parameters."
+        )
     if any(row[-1].link for row in rows):
-        notes.append("To view a recording: dynaviz view PATH. To compare two: dynaviz compare PATH PATH.")
+        notes.append(
+            "To view a recording: dynaviz view PATH. To compare two: dynaviz compare PATH PATH."
+        )
     return Table("runs", "All runs", columns, rows, notes)
 
 

@@ -1,1 +1,4 @@
-"""A method, a data set and a metric for dynaviz. Copy this folder, rename it, and change one part at a time."""
+"""A method, a data set and a metric for dynaviz.
+
+Copy this folder, rename it, and change one part at a time.
+"""

@@ -1,7 +1,8 @@
-"""An example data set: a folder with one text file per scan, ``000000.xyzl``, and the file ``origins.txt``.
+"""An example data set: a folder with one text file per scan, ``000000.xyzl``, and the file
+``origins.txt``.
 
-A scan has one row ``x y z label`` per point, in metres, in the world frame. Labels: 0 static, 1 dynamic, 255
-unlabelled. ``origins.txt`` has one row ``x y z`` per scan: the position of the sensor.
+A scan has one row ``x y z label`` per point, in metres, in the world frame. Labels: 0 static, 1
+dynamic, 255 unlabelled. ``origins.txt`` has one row ``x y z`` per scan: the position of the sensor.
 """
 
 from __future__ import annotations
@@ -41,12 +42,16 @@ class TextScans:
         """Read the small files. Scans are read on access.
 
         Raises:
-            DataError: a file is invalid; the message states the file, the position in it and what to do.
+            DataError: a file is invalid; the message states the file, the position in it and what
+                to do.
         """
-        scans, origins = numbered_files(path, ".xyzl"), _rows(path / "origins.txt", np.float64, 3)
+        scans = numbered_files(path, ".xyzl")
+        origins = _rows(path / "origins.txt", np.float64, 3)
         if len(origins) != len(scans):
             raise DataError(
-                path / "origins.txt", f"has {len(origins)} rows for {len(scans)} scans", hint="Give one row per scan"
+                path / "origins.txt",
+                f"has {len(origins)} rows for {len(scans)} scans",
+                hint="Give one row per scan",
             )
         return cls(path.name, scans, origins)
 
@@ -54,7 +59,8 @@ class TextScans:
         return len(self.scans)
 
     def __getitem__(self, position: int) -> Scan:
-        index, T_world_sensor = list(self.scans)[position], np.eye(4)
+        index = list(self.scans)[position]
+        T_world_sensor = np.eye(4)
         T_world_sensor[:3, 3] = self.origins[position]
         rows = _rows(self.scans[index], np.float32, 4)
         return Scan(index, rows[:, :3], T_world_sensor, labels=rows[:, 3].astype(np.uint8))
@@ -65,4 +71,6 @@ def _rows(path: Path, dtype: Any, columns: int) -> NDArray[Any]:
     try:
         return np.loadtxt(path, dtype, ndmin=2, usecols=range(columns))
     except (OSError, ValueError) as error:  # the message of numpy states the row
-        raise DataError(path, f"cannot be read: {error}", hint=f"Write {columns} numbers into each row") from None
+        raise DataError(
+            path, f"cannot be read: {error}", hint=f"Write {columns} numbers into each row"
+        ) from None

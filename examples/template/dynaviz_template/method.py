@@ -21,7 +21,8 @@ from dynaviz.spatial.grid import in_key_range, pack, unpack
 
 @dataclass(frozen=True)
 class SeldomParams:
-    """Each field is a parameter for ``--set min_scans=5``, presets, ``dynaviz list`` and ``--grid``.
+    """Each field is a parameter for ``--set min_scans=5``, presets, ``dynaviz list`` and
+    ``--grid``.
 
     Attributes:
         resolution: edge of a voxel, metres.
@@ -50,11 +51,26 @@ class Seldom:
         title="Rarely seen",
         paper="an example",
         reasons=(  # by code; each reason is for kept or for removed points, never for both
-            Reason("seldom_seen", "removed: too few scans have a point in its voxel", Cause.SPARSE_RINGS),
+            Reason(
+                "seldom_seen",
+                "removed: too few scans have a point in its voxel",
+                Cause.SPARSE_RINGS,
+            ),
             Reason("often_seen", "kept: enough scans have a point in its voxel", Cause.STANDING),
-            Reason("no_voxel", "kept unjudged: not finite, or too far from the world origin", Cause.OUT_OF_RANGE),
+            Reason(
+                "no_voxel",
+                "kept unjudged: not finite, or too far from the world origin",
+                Cause.OUT_OF_RANGE,
+            ),
         ),
-        emits=(State("scans", Voxels, "Voxels of this scan; scans with a point there", value_range=(0.0, 10.0)),),
+        emits=(
+            State(
+                "scans",
+                Voxels,
+                "Voxels of this scan; scans with a point there",
+                value_range=(0.0, 10.0),
+            ),
+        ),
     )
     Params: ClassVar[type[Any]] = SeldomParams
 
@@ -64,7 +80,8 @@ class Seldom:
     def begin(self, context: Context) -> None:
         """Start with an empty map."""
         self._probe = context.probe
-        self._keys, self._scans = np.empty(0, np.int64), np.empty(0, np.int64)
+        self._keys = np.empty(0, np.int64)
+        self._scans = np.empty(0, np.int64)
 
     def observe(self, scan: Scan) -> None:
         """Add 1 to the count of each voxel that contains a point of the scan."""
@@ -74,13 +91,17 @@ class Seldom:
         scans = np.zeros(len(merged), np.int64)
         scans[np.searchsorted(merged, self._keys)] = self._scans
         scans[np.searchsorted(merged, here)] += 1
-        self._keys, self._scans = merged, scans
+        self._keys = merged
+        self._scans = scans
         if self._probe.wants("scans"):  # skip the work if the state is not recorded
             values = self._count(here).astype(np.float32)
             self._probe.emit("scans", Voxels(unpack(here), self.params.resolution, values))
 
     def label(self, scan: Scan) -> Labels:
-        """Label points dynamic if too few scans have a point in their voxel; reasons index ``info.reasons``."""
+        """Label points dynamic if too few scans have a point in their voxel.
+
+        Reasons index ``info.reasons``.
+        """
         near = in_key_range(scan.points, self.params.resolution)
         reasons = np.full(len(scan), NO_VOXEL, np.uint8)
         counts = self._count(pack(scan.points[near], self.params.resolution))

@@ -15,16 +15,22 @@ KINDS = {"ghosts": Outcome.FALSE_NEGATIVE, "holes": Outcome.FALSE_POSITIVE}
 
 
 class GhostVolume:
-    """Section ``ghost_volume``: volume of the false negatives and false positives in cubic metres, by voxels of 0.2 m.
+    """Section ``ghost_volume``.
 
-    Unlike SA and DA, the volume does not change with the number of points on a surface that many scans see.
+    Volume of the false negatives and false positives in cubic metres, by voxels of 0.2 m.
+
+    Unlike SA and DA, the volume does not change with the number of points on a surface that many
+    scans see.
     """
 
     def __init__(self, info: MethodInfo) -> None:
         self._voxels = {kind: KeySet() for kind in KINDS}
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
-        """Add the voxels of a scan's wrong points. The returned numbers become curves over the frames."""
+        """Add the voxels of a scan's wrong points.
+
+        The returned numbers become curves over the frames.
+        """
         volumes = {}
         for kind, outcome in KINDS.items():
             points = labelled.scan.points[labelled.outcome == outcome]
@@ -34,7 +40,9 @@ class GhostVolume:
 
     def finish(self) -> Mapping[str, Any]:
         """Return the section of ``result.json``."""
-        return {"ghost_volume": {"edge_m": EDGE, **{f"{kind}_m3": self._volume(kind) for kind in KINDS}}}
+        return {
+            "ghost_volume": {"edge_m": EDGE, **{f"{kind}_m3": self._volume(kind) for kind in KINDS}}
+        }
 
     def figures(self) -> Mapping[str, Figure]:
         """Draw nothing in addition to the curves."""

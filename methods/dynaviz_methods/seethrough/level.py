@@ -8,19 +8,34 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, I64, Bool
-from dynaviz.spatial.scan_ground import EDGE, EXACT, FULL, NEAR, REACH, ROUNDS, Cells, ScanGround, weights
+from dynaviz.spatial.scan_ground import (
+    EDGE,
+    EXACT,
+    FULL,
+    NEAR,
+    REACH,
+    ROUNDS,
+    Cells,
+    ScanGround,
+    weights,
+)
 
 OTHER = EDGE  # metres: ground that differs by more, after levelling, is that of another floor
-OFF = 2 * EXACT  # metres: poses whose ground agrees within the errors of both, up to ``NEAR``, stay as they are
-INCLINE = 1e5  # square metres: weight of a pose's own incline; that of a cell of ground grows with its squared distance
+# metres: poses whose ground agrees within the errors of both, up to ``NEAR``, stay as they are
+OFF = 2 * EXACT
+# square metres: weight of a pose's own incline; that of a cell of ground grows with its squared
+# distance
+INCLINE = 1e5
 WRAP = 8 * REACH  # cells along x and y after which the ground of earlier scans is forgotten
 
 
 class Level:
-    """Finds out how much the pose of a scan lifts and tilts its ground, compared with that of the scans before it.
+    """Finds out how much the pose of a scan lifts and tilts its ground, compared with that of the
+    scans before it.
 
-    The error is a plane c + a dx + b dy above the world's horizontal, (3,) float64: metres, and metres per metre, with
-    dx and dy from the sensor. Subtracting it from z keeps rays straight. Poses whose ground agrees stay as they are.
+    The error is a plane c + a dx + b dy above the world's horizontal, (3,) float64: metres, and
+    metres per metre, with dx and dy from the sensor. Subtracting it from z keeps rays straight.
+    Poses whose ground agrees stay as they are.
 
     Args:
         limit: metres: beyond it, levelling starts again from the pose itself.
@@ -28,7 +43,8 @@ class Level:
 
     def __init__(self, limit: float) -> None:
         self._limit = limit
-        self._weight, self._height = np.zeros((WRAP, WRAP)), np.zeros((WRAP, WRAP))
+        self._weight = np.zeros((WRAP, WRAP))
+        self._height = np.zeros((WRAP, WRAP))
         self._keys = np.full((WRAP, WRAP, 2), np.iinfo(np.int64).min)
         self._last = np.zeros(2), np.zeros(3)
 
@@ -37,7 +53,8 @@ class Level:
         cells = surface.cells(position)
         found = self._fitted(cells, position)
         if abs(found[0]) > self._limit:
-            self._weight[:], found = 0.0, np.zeros(3)
+            self._weight[:] = 0.0
+            found = np.zeros(3)
         self._add(cells, found)
         self._last = position[:2].copy(), found
         return found
@@ -57,9 +74,17 @@ class Level:
         return found if abs(found[0]) + NEAR * math.hypot(found[1], found[2]) > OFF else np.zeros(3)
 
     def _known(self, at: tuple[I64, I64]) -> tuple[Bool, F64]:
-        """Whether earlier scans saw the ground of cells, (K,) each along x and y; and its height, metres."""
-        x, y = at[0] % WRAP, at[1] % WRAP
-        known = (self._weight[x, y] > 0) & (self._keys[x, y, 0] == at[0]) & (self._keys[x, y, 1] == at[1])
+        """Whether earlier scans saw the ground of cells, (K,) each along x and y.
+
+        And its height, metres.
+        """
+        x = at[0] % WRAP
+        y = at[1] % WRAP
+        known = (
+            (self._weight[x, y] > 0)
+            & (self._keys[x, y, 0] == at[0])
+            & (self._keys[x, y, 1] == at[1])
+        )
         return known, self._height[x, y]
 
     def _add(self, cells: Cells, error: F64) -> None:
@@ -67,7 +92,8 @@ class Level:
         at, dx, dy, z, number = cells
         z = z - error[0] - error[1] * dx - error[2] * dy
         known, before = self._known(at)
-        x, y = at[0] % WRAP, at[1] % WRAP
+        x = at[0] % WRAP
+        y = at[1] % WRAP
         same = known & (np.abs(z - before) < OTHER)
         old = np.where(same, self._weight[x, y], 0.0)
         own = weights(dx, dy, number)

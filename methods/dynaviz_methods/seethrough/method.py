@@ -1,29 +1,41 @@
-"""SeeThrough: what rays pass through is dynamic, and so is the object around it, wherever it stands.
+"""SeeThrough: what rays pass through is dynamic, and so is the object around it, wherever it
+stands.
 
     for each scan
-        ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits,
-                within 10 % of their mean incline; level the scan if over 10 cm off the ground of earlier ones
-        hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into the sky
-        clear:  of the voxels that its rays cross, those without a hit of it or of the scan before within ``guard``
-        object: join points ``ground_height`` to 4.5 m above the ground across ``join_angle`` plus 2.7 ray spacings
+        ground: the lowest layers of its points that a slope from the level under the sensor can
+        reach, without pits,
+                within 10 % of their mean incline; level the scan if over 10 cm off the ground of
+                earlier ones
+        hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into
+        the sky clear:  of the voxels that its rays cross, those without a hit of it or of the scan
+        before within ``guard`` object: join points ``ground_height`` to 4.5 m above the ground
+        across ``join_angle`` plus 2.7 ray spacings
     prior:      p = ``prior`` min(scans / 64, 1)
-    voxel:      c scans saw it clear, q crossed it near such a hit, h hit it. With a = near q + hit h, its evidence
+    voxel:      c scans saw it clear, q crossed it near such a hit, h hit it. With a = near q + hit
+    h, its evidence
                 is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) / (c + a + 1)
-    place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
+    place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels,
+    weighted with h; only
                 of voxels that contained points of objects, and that another scan hit or crossed
-    certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan, which weigh 1 + |k|
-    moved:      an object has moved if its outline, within guard / 2, is displaced by at least 2 guard in over ``hit``
-                of 64 scans, nothing was at its new end before or at its old one since, and one is dynamic
-    track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time or back: it covers
-                most 0.8 m columns of each (none with a static one as small), they half of its, most visited by then; or
-                one covers most of it, where its track came first; dynamic ones alone, less others, had as many columns
-    share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
-    point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
-    foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its voxel
+    certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan,
+    which weigh 1 + |k| moved:      an object has moved if its outline, within guard / 2, is
+    displaced by at least 2 guard in over ``hit``
+                of 64 scans, nothing was at its new end before or at its old one since, and one is
+                dynamic
+    track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time
+    or back: it covers
+                most 0.8 m columns of each (none with a static one as small), they half of its, most
+                visited by then; or one covers most of it, where its track came first; dynamic ones
+                alone, less others, had as many columns
+    share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first
+    0, computed twice point:      dynamic if f = u + inherit max(T, 0) > 0 in its place foot:
+    a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its
+    voxel
 
-A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online, all this is computed for each scan
-from the scans so far, with the objects of the last 64 of them.
+A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points
+that are not finite and points more than 32768 voxels from the world's origin are kept unjudged.
+Online, all this is computed for each scan from the scans so far, with the objects of the last 64 of
+them.
 """
 
 from __future__ import annotations
@@ -66,16 +78,18 @@ class SeeThroughParams:
 
     Attributes:
         resolution: edge of a voxel, metres.
-        guard: a crossed voxel is not clear if this scan or the one before has a hit within this distance, metres; at
-            most 7 voxels.
+        guard: a crossed voxel is not clear if this scan or the one before has a hit within this
+            distance, metres; at most 7 voxels.
         votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
         near: weight of a crossing near a hit, against one clear crossing.
-        hit: weight of a hit, against one clear crossing; share of the scans in which an object that moved is displaced.
-        prior: evidence that a place must exceed in 64 scans or more, with what it inherits, from 0 to less than 1; hits
-            alone are at most so much evidence against it.
+        hit: weight of a hit, against one clear crossing; share of the scans in which an object that
+            moved is displaced.
+        prior: evidence that a place must exceed in 64 scans or more, with what it inherits, from 0
+            to less than 1; hits alone are at most so much evidence against it.
         inherit: weight of what a place inherits from objects.
         ground_height: points up to this above the ground are low, metres.
-        join_angle: points are joined to objects across about this angle plus 2.7 times that between rays, degrees.
+        join_angle: points are joined to objects across about this angle plus 2.7 times that between
+            rays, degrees.
     """
 
     resolution: float = 0.1
@@ -92,29 +106,59 @@ class SeeThroughParams:
         most = 7 * self.resolution
         require(self, "resolution", lambda edge: 0 < edge < np.inf, "metres above 0")
         require(self, "join_angle", lambda angle: 0 <= angle < 90, "degrees from 0 to less than 90")
-        require(self, "guard", lambda guard: 0 <= guard <= most * 1.001, f"metres from 0 to 7 voxels, {most:g} m")
-        require(self, "votes", lambda scans: 1 <= scans <= 65535, "a number of scans from 1 to 65535")
-        require(self, "near hit inherit", lambda weight: 0 <= weight < np.inf, "a weight of at least 0")
+        require(
+            self,
+            "guard",
+            lambda guard: 0 <= guard <= most * 1.001,
+            f"metres from 0 to 7 voxels, {most:g} m",
+        )
+        require(
+            self, "votes", lambda scans: 1 <= scans <= 65535, "a number of scans from 1 to 65535"
+        )
+        require(
+            self, "near hit inherit", lambda weight: 0 <= weight < np.inf, "a weight of at least 0"
+        )
         require(self, "prior", lambda evidence: 0 <= evidence < 1, "evidence from 0 to less than 1")
         require(self, "ground_height", np.isfinite, "metres")
 
 
 NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED, FOOT, HIGH = range(8)
 REASONS = (
-    Reason("never_clear", "kept: its voxel was not seen clear more than occupied", Cause.NOTHING_BEHIND),
+    Reason(
+        "never_clear", "kept: its voxel was not seen clear more than occupied", Cause.NOTHING_BEHIND
+    ),
     Reason("too_little_clear", "kept: too little of its place was seen clear", Cause.STANDING),
     Reason("low", "kept: near the ground, and not under a dynamic object", Cause.TAKEN_FOR_GROUND),
-    Reason("out_of_reach", "kept unjudged: not finite, or more than 32768 voxels from the origin", Cause.OUT_OF_RANGE),
+    Reason(
+        "out_of_reach",
+        "kept unjudged: not finite, or more than 32768 voxels from the origin",
+        Cause.OUT_OF_RANGE,
+    ),
     Reason("seen_through", "removed: its place was seen clear", Cause.SHARED_CELL),
-    Reason("followed", "removed: the objects in its place are dynamic as a whole", Cause.SHARED_CELL),
+    Reason(
+        "followed", "removed: the objects in its place are dynamic as a whole", Cause.SHARED_CELL
+    ),
     Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
-    Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
+    Reason(
+        "high",
+        "kept: more than 4.5 m above the ground, where no mover is expected",
+        Cause.HEIGHT_LIMIT,
+    ),
 )
 BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLLOWED)
 REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED, FOOT))  # (R,) bool, by code
 STATES = (
-    State("clear", Voxels, "Voxels with points that this scan saw clear; number of such scans", value_range=(1, 6)),
-    State("passed", Voxels, "Voxels with points, crossed near hits of this scan or the last one: no evidence"),
+    State(
+        "clear",
+        Voxels,
+        "Voxels with points that this scan saw clear; number of such scans",
+        value_range=(1, 6),
+    ),
+    State(
+        "passed",
+        Voxels,
+        "Voxels with points, crossed near hits of this scan or the last one: no evidence",
+    ),
     State(
         "objects",
         PointClasses,
@@ -132,7 +176,8 @@ class Measured:
 
     Attributes:
         number: its position.
-        scan: levelled; bands: (N,) uint8, how high its points are above the ground: one of ``BANDS``.
+        scan: levelled; bands: (N,) uint8, how high its points are above the ground: one of
+            ``BANDS``.
         voxels: (N,) int64, -1 for none.
         tilt: (3,) float64, the error of the pose that was subtracted, as from ``Level``.
     """
@@ -166,17 +211,22 @@ class SeeThrough:
 
     def begin(self, context: Context) -> None:
         """Allocate the map where points will lie."""
-        p, self._probe = self.params, context.probe
+        p = self.params
+        self._probe = context.probe
         self._grid = ClearGrid(context.extent, p.resolution, LIFTED[0], context.sensor)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
-        self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
+        self._counts = tuple(
+            self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3)
+        )
         weights = float(p.near), float(p.hit), float(p.votes), float(p.prior)
         self._history = History(self._grid, float(p.guard), float(p.inherit), weights, self._counts)
         self._angle = math.radians(p.join_angle + SPACINGS * _spacing(context.sensor))
         self._level = Level(LIFTED[self._grid.rolls] - p.resolution)
         self._observed = 0
         self._judged: Judged | None = None
-        self._measured: Measured | None = None  # the scan that was observed last, which online is labelled next
+        self._measured: Measured | None = (
+            None  # the scan that was observed last, which online is labelled next
+        )
         self._decided: tuple[int, bool, Decision] = -1, False, self._history.decide()
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._tilts: dict[int, F64] = {}  # by position
@@ -184,34 +234,48 @@ class SeeThrough:
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
 
     def observe(self, scan: Scan) -> None:
-        """Count the voxels that the scan hits, crosses and sees clear, and let its places inherit."""
+        """Count the voxels that the scan hits, crosses and sees clear, and let its
+        places inherit.
+        """
         p = self.params
         surface = ScanGround.of(scan.points, scan.position)
         now = self._number[scan.index] = self._observed
-        self._tilts[now], self._observed = self._level.error(surface, scan.position), now + 1
-        measured = self._measured = self._measure(scan, self._bands_of(surface.heights(scan.points)))
+        self._tilts[now] = self._level.error(surface, scan.position)
+        self._observed = now + 1
+        measured = self._measured = self._measure(
+            scan, self._bands_of(surface.heights(scan.points))
+        )
         self._bands[scan.index] = pack_codes(measured.bands)
         marks = self._grid.mark_once(measured.scan, measured.voxels)
         near = self._grid.near(marks, round(p.guard / p.resolution))
         kernels.clearance.count(marks.blocks, marks.bits, near, *self._counts)
         chosen = (measured.voxels >= 0) & (measured.bands == ABOVE)
         at = kernels.as_readonly(scan.position[:2], np.float64)
-        objects, cells, wider = kernels.clusters.cells_of(measured.scan.points, chosen, at, p.resolution, self._angle)
+        objects, cells, wider = kernels.clusters.cells_of(
+            measured.scan.points, chosen, at, p.resolution, self._angle
+        )
         order = np.argsort(cells)
-        count = kernels.clusters.connect(objects, order, cells[order], wider)  # turns cells into objects
+        # turns cells into objects
+        count = kernels.clusters.connect(objects, order, cells[order], wider)
         self._history.add(now, measured.scan.points, measured.voxels, objects, count)
         self._show(measured, marks, near)
 
     def label(self, scan: Scan) -> Labels:
         """Label the points of a scan; decided when it is labelled for the first time.
 
-        A scan that was observed last is labelled by the scans so far, unless another one was labelled since.
+        A scan that was observed last is labelled by the scans so far, unless another one was
+        labelled since.
         """
         if scan.index not in self._reasons:
-            number, measured = self._number[scan.index], self._measured
+            number = self._number[scan.index]
+            measured = self._measured
             packed = self._bands.pop(scan.index, None)
             if measured is None or measured.number != number:
-                bands = self._bands_of(_heights(scan)) if packed is None else unpack_codes(packed, len(scan))
+                bands = (
+                    self._bands_of(_heights(scan))
+                    if packed is None
+                    else unpack_codes(packed, len(scan))
+                )
                 measured = self._measure(scan, bands)
             decision = self._decision(online=number + 1 == self._observed)
             self._reasons[scan.index] = pack_codes(self._outcomes(measured, decision))
@@ -227,16 +291,25 @@ class SeeThrough:
         self._history.forget(number)
 
     def relabel(self, scans: Sequence[Scan]) -> list[Labels]:
-        """Label scans again by all that is known, as if none had been labelled; the stored labels stay."""
-        stored, decided = self._reasons, self._decided
-        self._reasons, self._decided = {}, (self._observed, True, self._history.decide())
+        """Label scans again by all that is known, as if none had been labelled.
+
+        The stored labels stay.
+        """
+        stored = self._reasons
+        decided = self._decided
+        self._reasons = {}
+        self._decided = (self._observed, True, self._history.decide())
         try:
             return [self.label(scan) for scan in scans]
         finally:
-            self._reasons, self._decided = stored, decided
+            self._reasons = stored
+            self._decided = decided
 
     def _decision(self, online: bool) -> Decision:
-        """What decides the labels by the scans so far; unless asked for online use, by all visits of these."""
+        """What decides the labels by the scans so far.
+
+        Unless asked for online use, by all visits of these.
+        """
         at, whole, decision = self._decided
         if at != self._observed or not (whole or online):
             decision = self._history.decide(online)
@@ -244,7 +317,9 @@ class SeeThrough:
         return decision
 
     def _bands_of(self, heights: F32) -> U8:
-        exact, low, highest = (np.float32(limit) for limit in (EXACT, self.params.ground_height, HIGHEST))
+        exact, low, highest = (
+            np.float32(limit) for limit in (EXACT, self.params.ground_height, HIGHEST)
+        )
         bands: U8 = kernels.scan_ground.bands(heights, exact, low, highest)
         return bands
 
@@ -262,7 +337,10 @@ class SeeThrough:
         return Measured(number, levelled, bands, voxels, self._tilts[number])
 
     def _scans(self, voxels: I64) -> tuple[F64, F64, F64]:
-        """The number of scans, (K,) float64 each, that hit, passed and saw clear voxels (K,); NaN for voxel -1."""
+        """The number of scans, (K,) float64 each, that hit, passed and saw clear voxels (K,).
+
+        NaN for voxel -1.
+        """
         hits, clear, grazed = (known(of[voxels >> 9, voxels & 511], voxels) for of in self._counts)
         return hits, clear + grazed, clear
 
@@ -270,18 +348,27 @@ class SeeThrough:
         """Reason code of each point of an observed scan, (N,) uint8."""
         of_places = decision.rows, decision.own, decision.shared, decision.inherit
         of_voxels = *self._counts, decision.weights
-        reasons: U8 = kernels.places.outcomes(measured.voxels, measured.bands, *of_places, *of_voxels, BY_PLACE)
+        reasons: U8 = kernels.places.outcomes(
+            measured.voxels, measured.bands, *of_places, *of_voxels, BY_PLACE
+        )
         under = self._under(measured, reasons)
         if under.any():
             empty = kernels.places.of_points(np.where(under, measured.voxels, -1), *of_voxels)
-            reasons[under & ((measured.bands == NEAR_GROUND) | (empty > np.float32(decision.prior)))] = FOOT
+            reasons[
+                under & ((measured.bands == NEAR_GROUND) | (empty > np.float32(decision.prior)))
+            ] = FOOT
         self._judged = Judged(measured, decision, reasons)
         return reasons
 
     def _under(self, measured: Measured, reasons: U8) -> Bool:
-        """(N,) bool: low points under, or in a column of voxels next to, dynamic points that are not low."""
-        chosen, low = REMOVED.take(reasons) & (reasons != FOOT), (reasons == LOW) | (reasons == FOOT)
-        under: Bool = kernels.squares.in_or_next_to(measured.scan.points, chosen, low, self.params.resolution)
+        """(N,) bool: low points under, or in a column of voxels next to, dynamic points that are
+        not low.
+        """
+        chosen = REMOVED.take(reasons) & (reasons != FOOT)
+        low = (reasons == LOW) | (reasons == FOOT)
+        under: Bool = kernels.squares.in_or_next_to(
+            measured.scan.points, chosen, low, self.params.resolution
+        )
         return under
 
     def halo(self) -> Halo:
@@ -289,39 +376,62 @@ class SeeThrough:
         return Halo(OBJECT)
 
     def evidence(self, asked: Asked) -> Evidence:
-        """How often scans hit, passed and saw clear the points' voxels; what their places show and inherit."""
+        """How often scans hit, passed and saw clear the points' voxels.
+
+        What their places show and inherit.
+        """
         number = self._number.get(asked.scan.index, -1)
         scan = _levelled(asked.scan, self._tilts[number]) if number in self._tilts else asked.scan
         voxels = self._grid.locate(scan.points)[asked.rows]
         hits, passed, clear = self._scans(voxels)
         quantities = [
-            Quantity(name, of, total=True) for name, of in (("hit", hits), ("passed", passed), ("clear", clear))
+            Quantity(name, of, total=True)
+            for name, of in (("hit", hits), ("passed", passed), ("clear", clear))
         ]
         judged = self._judged
         rules: tuple[Rule, ...] = ()
         if judged is not None and judged.measured.scan.index == asked.scan.index:
-            decision, of = judged.decision, judged.measured.voxels[asked.rows]
+            decision = judged.decision
+            of = judged.measured.voxels[asked.rows]
             rows = decision.rows[of >> 9 << 2 | of >> 7 & 2 | of >> 5 & 1]
-            own, shared = known(decision.own[rows], of), known(decision.shared[rows], of)
+            own = known(decision.own[rows], of)
+            shared = known(decision.shared[rows], of)
             source = known(np.where(decision.source[rows] < 0, np.nan, decision.source[rows]), of)
             of_places = ("place", own), ("objects", shared), ("dynamic in", source)
             quantities += [Quantity(name, of) for name, of in of_places]
             rules = self._rules(judged, asked, own + decision.inherit * np.maximum(shared, 0.0))
-        return Evidence(voxels_around(asked.points, self.params.resolution), tuple(quantities), rules)
+        return Evidence(
+            voxels_around(asked.points, self.params.resolution), tuple(quantities), rules
+        )
 
     def _rules(self, judged: Judged, asked: Asked, total: F64) -> tuple[Rule, ...]:
         """The rules that remove points."""
-        measured, p, decision, rows = judged.measured, self.params, judged.decision, asked.rows
-        voxels, height = measured.voxels[rows], _heights(asked.scan)[rows]
+        measured = judged.measured
+        p = self.params
+        decision = judged.decision
+        rows = asked.rows
+        voxels = measured.voxels[rows]
+        height = _heights(asked.scan)[rows]
         empty = known(kernels.places.of_points(voxels, *self._counts, decision.weights), voxels)
         up = (
-            Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m", "ground_height"),
+            Term(
+                "height above the ground",
+                height,
+                ">",
+                float(np.float32(p.ground_height)),
+                "m",
+                "ground_height",
+            ),
             Term("more than 4.5 m above the ground", measured.bands[rows] == TOO_HIGH, "<", 1),
         )
-        place = Term("evidence of its place, with what it inherits, less the prior", total, ">", 0.0)
+        place = Term(
+            "evidence of its place, with what it inherits, less the prior", total, ">", 0.0
+        )
         under = self._under(measured, judged.reasons)
         stands = Term("height above the ground", height, ">", float(np.float32(EXACT)), "m")
-        near = Term("low and near a dynamic object", np.where(np.isnan(empty), np.nan, under[rows]), ">=", 1)
+        near = Term(
+            "low and near a dynamic object", np.where(np.isnan(empty), np.nan, under[rows]), ">=", 1
+        )
         name = "evidence of its voxel"
         return (
             Rule("place", (*up, place)),
@@ -330,7 +440,8 @@ class SeeThrough:
         )
 
     def _show(self, measured: Measured, marks: Marks, near: U64) -> None:
-        wants, emit = self._probe.wants, self._probe.emit
+        wants = self._probe.wants
+        emit = self._probe.emit
         for name, among in (("clear", ~near), ("passed", near)):
             if wants(name):
                 through = marks.bits[:, :8] & ~marks.bits[:, 8:]
@@ -339,12 +450,17 @@ class SeeThrough:
                 count = self._scans(voxels)[2].astype(np.float32) if name == "clear" else None
                 emit(name, Voxels(self._shown(voxels, measured), self._grid.resolution, count))
         if wants("objects"):
-            emit("objects", PointClasses(CLASS[self._outcomes(measured, self._decision(online=True))]))
+            emit(
+                "objects",
+                PointClasses(CLASS[self._outcomes(measured, self._decision(online=True))]),
+            )
         if wants("low"):
             emit("low", Mask(measured.bands < ABOVE))
 
     def _shown(self, voxels: I64, measured: Measured) -> I32:
-        """(K, 3) int32: indices of voxels, raised and tilted like the points of a scan that was levelled."""
+        """(K, 3) int32: indices of voxels, raised and tilted like the points of a scan that was
+        levelled.
+        """
         keys = self._grid.keys(voxels)
         if measured.tilt.any():
             size = self._grid.resolution
@@ -354,7 +470,10 @@ class SeeThrough:
 
 
 def _spacing(sensor: Sensor) -> float:
-    """Mean angle between adjacent rays of a sensor, degrees; ``STEP`` if its view or their number is unknown."""
+    """Mean angle between adjacent rays of a sensor, degrees.
+
+    ``STEP`` if its view or their number is unknown.
+    """
     begin, end = sensor.azimuth
     ring = (end - begin) / (sensor.azimuth_step or STEP)
     rays = sensor.points_per_sweep or ((sensor.rings or 1) - 1) * ring
@@ -365,7 +484,9 @@ def _spacing(sensor: Sensor) -> float:
 
 
 def _heights(scan: Scan) -> F32:
-    """(N,) float32, metres: height of the points of a scan above its ground, infinite if unknown."""
+    """(N,) float32, metres: height of the points of a scan above its ground, infinite
+    if unknown.
+    """
     return ScanGround.of(scan.points, scan.position).heights(scan.points)
 
 
@@ -379,16 +500,23 @@ def _levelled(scan: Scan, tilt: F64) -> Scan:
         found[:, 2] -= _lift(xyz, scan.position, tilt).astype(xyz.dtype)
         return found
 
-    (x, y, _), (c, a, b) = scan.position.tolist(), tilt.tolist()
+    (x, y, _) = scan.position.tolist()
+    (c, a, b) = tilt.tolist()
     shear = np.eye(4)
     shear[2] = -a, -b, 1.0, a * x + b * y - c
     return replace(
-        scan, points=lowered(scan.points), T_world_sensor=shear @ scan.T_world_sensor, origins=lowered(scan.origins)
+        scan,
+        points=lowered(scan.points),
+        T_world_sensor=shear @ scan.T_world_sensor,
+        origins=lowered(scan.origins),
     )
 
 
 def _lift(xyz: F32 | F64, position: F64, tilt: F64) -> F32 | F64:
-    """(N,) metres: how much the error of a pose, (3,), as from ``Level``, lifts points (N, 3) of a sensor (3,)."""
-    (x, y, _), (c, a, b) = position.tolist(), tilt.tolist()
+    """(N,) metres: how much the error of a pose, (3,), as from ``Level``, lifts points (N, 3) of a
+    sensor (3,).
+    """
+    (x, y, _) = position.tolist()
+    (c, a, b) = tilt.tolist()
     lift: F32 | F64 = c + a * (xyz[:, 0] - x) + b * (xyz[:, 1] - y)
     return lift

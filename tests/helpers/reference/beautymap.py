@@ -24,7 +24,9 @@ class Reference:
         self.base, self.raised = {}, set()
         for c in sorted(self.members):
             self.base[c] = self.level(c)
-        self.slices = {c: {self.slice(c, z) for z in heights} - {None} for c, heights in self.members.items()}
+        self.slices = {
+            c: {self.slice(c, z) for z in heights} - {None} for c, heights in self.members.items()
+        }
         self.removed, self.split = defaultdict(set), defaultdict(set)
 
     def column(self, p):
@@ -85,7 +87,10 @@ class Reference:
         return not self.blocked(di, dj, k)
 
     def blocked(self, di, dj, k):
-        """Whether the line from the sensor to (di, dj) is blocked; x and y are columns from the edge of the window."""
+        """Whether the line from the sensor to (di, dj) is blocked.
+
+        X and y are columns from the edge of the window.
+        """
         n, a = max(abs(di), abs(dj)), self.half
         step = di / n, dj / n
         x, y, t = a, a, 0.0

@@ -26,7 +26,10 @@ class Walk:
     def next(self) -> tuple[int, float]:
         """The axis of the next border, and its distance from the start."""
         borders = [k + (d > 0) for k, d in zip(self.voxel, self.direction, strict=True)]
-        away = [(b - s) / d if d else math.inf for b, s, d in zip(borders, self.start, self.direction, strict=True)]
+        away = [
+            (b - s) / d if d else math.inf
+            for b, s, d in zip(borders, self.start, self.direction, strict=True)
+        ]
         axis = min(range(3), key=lambda a: away[a])
         return axis, away[axis]
 
@@ -37,8 +40,14 @@ class Walk:
 
 
 class Reference:
-    def __init__(self, resolution=0.1, hit_margin=0.2, unknown_margin=1, min_range=0.2, max_range=math.inf):
-        self.resolution, self.hit_margin, self.unknown_margin = resolution, hit_margin / resolution, unknown_margin
+    def __init__(
+        self, resolution=0.1, hit_margin=0.2, unknown_margin=1, min_range=0.2, max_range=math.inf
+    ):
+        self.resolution, self.hit_margin, self.unknown_margin = (
+            resolution,
+            hit_margin / resolution,
+            unknown_margin,
+        )
         self.min_range, self.max_range = min_range, max_range
         self.seen_free: set[Key] = set()
         self.crossed: set[Key] = set()
@@ -47,14 +56,18 @@ class Reference:
         rays = {
             (tuple(scan.origins[n % len(scan.origins)]), key(p, self.resolution))
             for n, p in enumerate(scan.points)
-            if self.min_range < np.linalg.norm(p - scan.origins[n % len(scan.origins)]) < self.max_range
+            if self.min_range
+            < np.linalg.norm(p - scan.origins[n % len(scan.origins)])
+            < self.max_range
         }
         lines = []
         for origin, goal in rays:
             o = [float(c) * (1.0 / self.resolution) for c in origin]
             away = [k + 0.5 - c for k, c in zip(goal, o, strict=True)]
             length = math.sqrt(sum(a * a for a in away))
-            lines.append((o, [k + 0.5 for k in goal], [a / length if length else 0.0 for a in away], length))
+            lines.append(
+                (o, [k + 0.5 for k in goal], [a / length if length else 0.0 for a in away], length)
+            )
         self.hit = {k for line in lines for k in self.hits_of(*line)}
         self.observed = {k for line in lines for k in self.observed_of(*line)}
         around = list(product(range(-self.unknown_margin, self.unknown_margin + 1), repeat=3))

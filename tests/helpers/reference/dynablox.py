@@ -14,7 +14,12 @@ NEVER_FREE, FREE, FREE_SMALL, FREE_LARGE, BESIDE, REVOKED, OUT_OF_RANGE, OUT_OF_
 
 class Reference:
     def __init__(self, params, rows, top, bottom, low, high):
-        self.p, self.rows, self.top, self.bottom = params, rows, math.radians(top), math.radians(bottom)
+        self.p, self.rows, self.top, self.bottom = (
+            params,
+            rows,
+            math.radians(top),
+            math.radians(bottom),
+        )
         self.low = np.floor(np.array(low) / params.resolution).astype(int) - 2
         self.shape = np.floor(np.array(high) / params.resolution).astype(int) + 3 - self.low
         self.distance, self.weight = np.zeros(self.shape, np.float32), np.zeros(self.shape, int)
@@ -23,7 +28,12 @@ class Reference:
         self.frame = -1
 
     def key(self, point):
-        return tuple((np.floor(np.asarray(point, float) * (1.0 / self.p.resolution)).astype(int) - self.low).tolist())
+        return tuple(
+            (
+                np.floor(np.asarray(point, float) * (1.0 / self.p.resolution)).astype(int)
+                - self.low
+            ).tolist()
+        )
 
     def observe(self, scan):
         """Reason code of each point."""
@@ -39,7 +49,9 @@ class Reference:
         return r > 0 and self.p.min_range <= r <= (self.p.max_range or math.inf)
 
     def judge(self, scan, keys):
-        codes = [OUT_OF_RANGE if k is None else REVOKED if self.revoked[k] else NEVER_FREE for k in keys]
+        codes = [
+            OUT_OF_RANGE if k is None else REVOKED if self.revoked[k] else NEVER_FREE for k in keys
+        ]
         for cluster in self.merged(scan, self.grown(keys)):
             small, large = len(cluster) < self.p.min_cluster, len(cluster) > self.p.max_cluster
             for i in cluster:
@@ -93,7 +105,11 @@ class Reference:
             self.last[k] = self.frame
             if self.count[k] >= self.p.revoke_after:
                 reached.append(k)
-        clear = (self.weight > 0) & (self.distance >= self.near) & (self.frame - self.last > self.p.burn_in)
+        clear = (
+            (self.weight > 0)
+            & (self.distance >= self.near)
+            & (self.frame - self.last > self.p.burn_in)
+        )
         for k in np.argwhere(self.updated & clear & ~self.free):
             if all(clear[tuple(k + d)] for d in CUBE):
                 self.free[tuple(k)] = True
@@ -112,8 +128,12 @@ class Reference:
         x, y, z = scan.T_world_sensor[:3, :3].T @ (np.asarray(points, float) - scan.position).T
         spacing = (self.top - self.bottom) / (self.rows - 1)
         rows = np.floor((self.top - np.arctan2(z, np.hypot(x, y))) / spacing + 0.5)
-        columns = np.floor((np.arctan2(y, x) + math.pi) / (2 * math.pi) * self.p.image_columns + 0.5)
-        return zip(rows, columns % self.p.image_columns, np.sqrt(x * x + y * y + z * z), strict=True)
+        columns = np.floor(
+            (np.arctan2(y, x) + math.pi) / (2 * math.pi) * self.p.image_columns + 0.5
+        )
+        return zip(
+            rows, columns % self.p.image_columns, np.sqrt(x * x + y * y + z * z), strict=True
+        )
 
     def integrate(self, scan, keys):
         image = {}
@@ -123,7 +143,9 @@ class Reference:
         self.updated[:] = False
         voxels = np.array(list(product(*(range(1, n - 1) for n in self.shape))))
         centres = (voxels + self.low + 0.5) * self.p.resolution
-        for k, (row, column, r) in zip(map(tuple, voxels.tolist()), self.pixels(scan, centres), strict=True):
+        for k, (row, column, r) in zip(
+            map(tuple, voxels.tolist()), self.pixels(scan, centres), strict=True
+        ):
             distance = image.get((row, column), math.nan) - r if 0 <= row < self.rows else math.nan
             if distance >= -self.p.truncation:
                 one, cut = np.float32(1), np.float32(min(distance, self.p.truncation))

@@ -1,4 +1,7 @@
-"""A slow, simple ERASOR: a list of points per voxel, a list of voxels per bin, eigenvectors from LAPACK."""
+"""A slow, simple ERASOR.
+
+A list of points per voxel, a list of voxels per bin, eigenvectors from LAPACK.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,13 @@ class Reference:
     def __init__(self, params, raw_map: np.ndarray, height: float):
         self.p, self.height, self.seen = params, height, 0
         self.map = centroids(raw_map, params.map_voxel)
-        self.order = ["beyond_range", "outside_height_band", "too_few_points", "map_not_higher", "low_bin"]
+        self.order = [
+            "beyond_range",
+            "outside_height_band",
+            "too_few_points",
+            "map_not_higher",
+            "low_bin",
+        ]
         self.order += ["ground_of_flagged_bin", "bin_ratio"]
         self.by_voxel = dict.fromkeys(self.map, "beyond_range")
 
@@ -54,10 +63,14 @@ class Reference:
                 continue
             ring = math.floor(math.hypot(x, y) / (self.p.max_range / self.p.rings))
             sector = math.floor(math.degrees(math.atan2(y, x)) % 360 / (360 / self.p.sectors))
-            bins[(ring, sector) if self.p.min_height < z < self.p.max_height else "outside"].append((key, z))
+            bins[(ring, sector) if self.p.min_height < z < self.p.max_height else "outside"].append(
+                (key, z)
+            )
         return bins
 
-    def reasons(self, b, members: list, scanned: list, points: dict[Key, np.ndarray], foot: np.ndarray):
+    def reasons(
+        self, b, members: list, scanned: list, points: dict[Key, np.ndarray], foot: np.ndarray
+    ):
         def everyone(reason: str) -> dict[Key, str]:
             return dict.fromkeys((key for key, _ in members), reason)
 
@@ -72,7 +85,9 @@ class Reference:
             return everyone("low_bin")
         ground = self.ground(np.array([points[key] - foot for key, _ in members]))
         names = {True: "ground_of_flagged_bin", False: "bin_ratio"}
-        return {key: names[bool(is_ground)] for (key, _), is_ground in zip(members, ground, strict=True)}
+        return {
+            key: names[bool(is_ground)] for (key, _), is_ground in zip(members, ground, strict=True)
+        }
 
     def ground(self, points: np.ndarray) -> np.ndarray:
         lowest = np.sort(points[:, 2])[self.p.ground_skip :][: self.p.ground_lowest]

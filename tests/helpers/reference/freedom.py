@@ -56,7 +56,9 @@ class Reference:
         """The level of each point in its scan."""
         self.scan += 1
         groups: defaultdict[Key, list] = defaultdict(list)
-        keys = [self.key(q, self.size) if self.inside(q, scan.position) else None for q in scan.points]
+        keys = [
+            self.key(q, self.size) if self.inside(q, scan.position) else None for q in scan.points
+        ]
         for point, key in zip(scan.points, keys, strict=True):
             if key is not None:
                 groups[key].append(point.astype(float))
@@ -64,7 +66,11 @@ class Reference:
         for key in self.lost:
             for other in [key, *around(key)]:
                 self.revoke(other)
-        crossed = {c for points in groups.values() for c in self.walk(scan.position, np.mean(points, 0), groups)}
+        crossed = {
+            c
+            for points in groups.values()
+            for c in self.walk(scan.position, np.mean(points, 0), groups)
+        }
         self.take_back(self.free(crossed))
         for point, key in zip(scan.points, keys, strict=True):
             if key is not None:
@@ -93,16 +99,25 @@ class Reference:
     def grown(self, seeds: dict[Key, int], steps: int, allowed) -> dict[Key, int]:
         levels, front = dict(seeds), list(seeds)
         for step in range(steps):
-            front = list(dict.fromkeys(o for key in front for o in around(key) if o in allowed and o not in levels))
+            front = list(
+                dict.fromkeys(
+                    o for key in front for o in around(key) if o in allowed and o not in levels
+                )
+            )
             levels |= dict.fromkeys(front, 2 if step == 0 else 1)
         return levels
 
     def walk(self, origin, target, occupied) -> list[Key]:
         u = np.array(target) - origin
-        low, high = max(self.p.min_height, self.p.ray_min_height), min(self.p.max_height, self.p.ray_max_height)
+        low, high = (
+            max(self.p.min_height, self.p.ray_min_height),
+            min(self.p.max_height, self.p.ray_max_height),
+        )
         reach = min(self.p.max_range, self.p.ray_range)
         if not (u @ u <= reach**2 and low < u[2] < high):
-            u = u * min(reach / math.sqrt(u @ u), high / u[2] if u[2] > 0 else low / u[2] if u[2] < 0 else 1)
+            u = u * min(
+                reach / math.sqrt(u @ u), high / u[2] if u[2] > 0 else low / u[2] if u[2] < 0 else 1
+            )
         cell, step, at, period = list(self.key(origin, self.size)), [], [], []
         for axis in range(3):
             step.append(int(np.sign(u[axis])))
@@ -171,11 +186,19 @@ class Reference:
         key = self.key(point, self.size)
         entry = self.map[key][self.key(point, self.p.sub_voxel)]
         if entry.level:
-            names = ("grown_in_map", "turned_free") if entry.raised else ("grown_in_scan", "in_free_space")
+            names = (
+                ("grown_in_map", "turned_free")
+                if entry.raised
+                else ("grown_in_scan", "in_free_space")
+            )
             return names[entry.level == 3]
         if own:
             return "retaken"
-        for name, voxels in (("revoked", self.revoked), ("beside_unclear", self.often), ("seen_too_rarely", self.seen)):
+        for name, voxels in (
+            ("revoked", self.revoked),
+            ("beside_unclear", self.often),
+            ("seen_too_rarely", self.seen),
+        ):
             if key in voxels:
                 return name
         return "never_seen_through"

@@ -88,7 +88,8 @@ class Reference:
         p, origin = self.p, scan.position
         self.scan += 1
         used = [
-            np.isfinite(q).all() and sum((float(a) - b) ** 2 for a, b in zip(q, origin, strict=True)) > p.min_range**2
+            np.isfinite(q).all()
+            and sum((float(a) - b) ** 2 for a, b in zip(q, origin, strict=True)) > p.min_range**2
             for q in scan.points
         ]
         keys = [self.key(q) if u else None for q, u in zip(scan.points, used, strict=True)]
@@ -105,7 +106,10 @@ class Reference:
         cells = {cell for end in hit for cell in line(start, end)}
         size = self.p.resolution
         return [
-            c for c in cells if sum(((a - b) * size) ** 2 for a, b in zip(c, start, strict=True)) <= self.p.max_range**2
+            c
+            for c in cells
+            if sum(((a - b) * size) ** 2 for a, b in zip(c, start, strict=True))
+            <= self.p.max_range**2
         ]
 
     def filter(self, observed: list[Key], hit: list[Key]) -> None:
@@ -124,7 +128,9 @@ class Reference:
     def forget(self, origin) -> None:
         p = self.p
         for key, voxel in list(self.map.items()):
-            old = voxel.seen < self.scan - p.forget_after and not (p.port and voxel.seen <= p.forget_after)
+            old = voxel.seen < self.scan - p.forget_after and not (
+                p.port and voxel.seen <= p.forget_after
+            )
             if old or self.away(key, origin) > (1.5 * p.max_range) ** 2:
                 del self.map[key]
 
@@ -156,7 +162,11 @@ class Reference:
 
     def sure(self, key: Key) -> bool:
         voxel = self.map.get(key)
-        return voxel is not None and voxel.state != UNKNOWN and self.scan - voxel.seen < self.p.forget_after
+        return (
+            voxel is not None
+            and voxel.state != UNKNOWN
+            and self.scan - voxel.seen < self.p.forget_after
+        )
 
     def known_around(self, key: Key) -> int:
         return sum(self.sure(other) for other in self.cube(key))
@@ -177,7 +187,11 @@ class Reference:
         p, voxel = self.p, self.map.get(key)  # None if it is within range, but its index is not
         if key in grown and self.threshold <= p.min_score:
             return "scan_undecided"
-        for reason, chosen in (("above_threshold", above), ("carried", carried), ("beside_dynamic", grown)):
+        for reason, chosen in (
+            ("above_threshold", above),
+            ("carried", carried),
+            ("beside_dynamic", grown),
+        ):
             if key in chosen:
                 return reason
         if total > 0:

@@ -1,4 +1,7 @@
-"""A slow, simple Removert: a dictionary of pixels per image, points one by one, all in double precision."""
+"""A slow, simple Removert.
+
+A dictionary of pixels per image, points one by one, all in double precision.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,19 @@ from dynaviz.contracts.scan import Scan
 Span = tuple[float, float]
 
 
-def pixel(local: np.ndarray, resolution: float, elevation: Span, azimuth: Span, clamp: bool = False):
+def pixel(
+    local: np.ndarray, resolution: float, elevation: Span, azimuth: Span, clamp: bool = False
+):
     """(row, column) of a point in the frame of the image; None if outside, or at the centre."""
     x, y, z = local
     if not 0 < np.linalg.norm(local) < math.inf:
         return None
-    rows, columns = (max(1, round((span[1] - span[0]) * resolution)) for span in (elevation, azimuth))
-    down = (elevation[1] - math.degrees(math.atan2(z, math.hypot(x, y)))) / (elevation[1] - elevation[0])
+    rows, columns = (
+        max(1, round((span[1] - span[0]) * resolution)) for span in (elevation, azimuth)
+    )
+    down = (elevation[1] - math.degrees(math.atan2(z, math.hypot(x, y)))) / (
+        elevation[1] - elevation[0]
+    )
     along = (math.degrees(math.atan2(y, x)) - azimuth[0]) / (azimuth[1] - azimuth[0])
     row, column = math.floor(rows * down + 0.5), math.floor(columns * along + 0.5)
     if not clamp and not (0 <= row <= rows and 0 <= column <= columns):
@@ -48,8 +57,12 @@ class Reference:
         self.p, self.raw_map = params, raw_map
         self.view = elevation, azimuth
         self.map = centroids(raw_map, params.voxel)
-        self.nearer: dict[object, set[int]] = defaultdict(set)  # resolutions at which a scan sees past a map point
-        self.surfaces: dict[object, int] = defaultdict(int)  # scans with a surface there, at the first resolution
+        self.nearer: dict[object, set[int]] = defaultdict(
+            set
+        )  # resolutions at which a scan sees past a map point
+        self.surfaces: dict[object, int] = defaultdict(
+            int
+        )  # scans with a surface there, at the first resolution
         self.in_view: set[object] = set()
         self.first: dict[int, int] = {}
         self.end = 0
@@ -87,7 +100,11 @@ class Reference:
         nearest: dict[object, tuple[float, object]] = {}
         for key, point in self.map.items():
             at, distance = self.place(scan, point, resolution)
-            if at is not None and distance < nearest.get(at, (math.inf, None))[0] and distance <= self.reach:
+            if (
+                at is not None
+                and distance < nearest.get(at, (math.inf, None))[0]
+                and distance <= self.reach
+            ):
                 nearest[at] = distance, key
         for at, (distance, key) in nearest.items():
             if at in image:
@@ -99,7 +116,9 @@ class Reference:
         self.in_view = set(self.map)
 
     def removed(self, key: object) -> bool:
-        revert = set(range(len(self.p.resolutions), len(self.p.resolutions) + len(self.p.revert_resolutions)))
+        revert = set(
+            range(len(self.p.resolutions), len(self.p.resolutions) + len(self.p.revert_resolutions))
+        )
         return bool(self.nearer[key] - revert) and revert <= self.nearer[key]
 
     def by_map(self, key: object) -> str:
@@ -115,16 +134,22 @@ class Reference:
     def keys(self, scan: Scan) -> list[object]:
         """None for points that are not finite."""
         numbered = enumerate(scan.points, self.first[scan.index])
-        return [name(i, point, self.p.voxel) if np.isfinite(point).all() else None for i, point in numbered]
+        return [
+            name(i, point, self.p.voxel) if np.isfinite(point).all() else None
+            for i, point in numbered
+        ]
 
     def label(self, scan: Scan) -> list[bool]:
         keys = self.keys(scan)
         if not self.p.scan_neighbours:
             return [key is not None and self.removed(key) for key in keys]
-        own = as_cloud([point for key, point in zip(keys, scan.points, strict=True) if key is not None])
+        own = as_cloud(
+            [point for key, point in zip(keys, scan.points, strict=True) if key is not None]
+        )
         left = as_cloud([point for key, point in self.map.items() if not self.removed(key)])
         return [
-            key is not None and abs(self.density(point, own) - self.density(point, left)) >= self.p.scan_difference
+            key is not None
+            and abs(self.density(point, own) - self.density(point, left)) >= self.p.scan_difference
             for key, point in zip(keys, scan.points, strict=True)
         ]
 
@@ -135,7 +160,9 @@ class Reference:
 
     def reasons(self, scan: Scan, dynamic: list[bool]) -> list[str]:
         """Names of reasons, for the labels from ``label``."""
-        return [self.reason(key, removed) for key, removed in zip(self.keys(scan), dynamic, strict=True)]
+        return [
+            self.reason(key, removed) for key, removed in zip(self.keys(scan), dynamic, strict=True)
+        ]
 
     def reason(self, key: object, dynamic: bool) -> str:
         if key is None:
