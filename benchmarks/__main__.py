@@ -1,9 +1,10 @@
 """Cost of every method and step as the work increases: ``python benchmarks [--quick]``.
 
     python benchmarks --quick                    small sizes, about ten minutes; --only STEP... for
-    some steps python benchmarks -o FOLDER                  30 to 240 thousand points per frame, 100
-    to 5,000 frames; takes hours python benchmarks --draw FOLDER/costs.json   draw curves and table
-    of an earlier run again
+        some steps
+    python benchmarks -o FOLDER                  30 to 240 thousand points per frame, 100 to 5,000
+        frames; takes hours
+    python benchmarks --draw FOLDER/costs.json   draw curves and table of an earlier run again
 
 Each step runs in its own process on one thread, and processor seconds are measured, so other
 programs have little effect. Methods on short drives run twice, and the better round is used. Every

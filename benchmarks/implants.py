@@ -2,7 +2,7 @@
 benchmarks/implants.py``.
 
     python benchmarks/implants.py [--frames N] [--stride N] [--seeds A,B] [--methods A,B | --grid]
-    [-o OUT] [SEQUENCE]
+        [-o OUT] [SEQUENCE]
 
 SEQUENCE is a path with ground truth, or ``simulate:PRESET[:SEED]``. Every registered method, or
 with ``--grid`` DUFOMap and OctoMap with several parameters each, runs on the sequence, and on the

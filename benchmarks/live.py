@@ -1,9 +1,10 @@
 """Latency and memory of methods that run live: ``python benchmarks/live.py [METHOD ...]``.
 
     python benchmarks/live.py                         p50, p95, p99 and worst time per scan at 30,
-    60 and 120 k points python benchmarks/live.py --memory                resident memory over
-    10,000 scans of a drive along a corridor python benchmarks/live.py [METHOD ...] --accuracy SEQ
-    ...    SA and DA online and offline
+        60 and 120 k points
+    python benchmarks/live.py --memory                resident memory over 10,000 scans of a drive
+        along a corridor
+    python benchmarks/live.py [METHOD ...] --accuracy SEQ ...    SA and DA online and offline
 
 The street of ``scenes.py`` is driven at 7.5 m/s; each scan goes through the whole session, static
 map included. Besides the elapsed time it prints processor time divided by the number of threads:

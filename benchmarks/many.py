@@ -1,9 +1,11 @@
 """All methods on many simulated scenes, with seeds that were not used to develop SeeThrough.
 
     python benchmarks/many.py OUT [METHOD ...]        about twenty minutes on two cores; finished
-    runs are kept python benchmarks/many.py --real OUT [METHOD ...]         the same on 22 scenes
-    with the effects of real scans python benchmarks/many.py --sensors OUT [METHOD ...]      the
-    same on 24 such scenes with twelve other sensors
+        runs are kept
+    python benchmarks/many.py --real OUT [METHOD ...]         the same on 22 scenes with the effects
+        of real scans
+    python benchmarks/many.py --sensors OUT [METHOD ...]      the same on 24 such scenes with twelve
+        other sensors
 
 Writes the scenes to OUT/scenes, runs every method with its default parameters on each, and writes
 OUT/many.json and OUT/many.md: the AA of each method on every scene, its distribution, and on how

@@ -4,7 +4,8 @@ frame.
     python benchmarks/methods.py                              all methods on a generated street
     python benchmarks/methods.py dufomap removert             some methods
     python benchmarks/methods.py --folder FOLDER --frames 30  on pcd/*.pcd of a folder in the
-    benchmark's layout python benchmarks/methods.py removert --preset port
+        benchmark's layout
+    python benchmarks/methods.py removert --preset port
 
 Each method runs in its own process, after a first round that compiles. Rounds on all threads and on
 one thread alternate, and the fastest of three is used. Memory is the peak beyond the scans, which

@@ -3,7 +3,8 @@ results agree.
 
     python benchmarks/plain.py                      on a generated street
     python benchmarks/plain.py --folder FOLDER      on pcd/*.pcd of a folder in the benchmark's
-    layout python benchmarks/plain.py --methods dufomap    some methods
+        layout
+    python benchmarks/plain.py --methods dufomap    some methods
 
 OctoMap is compared with a single-threaded numba loop that walks a dense grid in double precision;
 Removert, ERASOR and Dynablox with numpy; DUFOMap with the public implementation, if it is installed

@@ -5,7 +5,8 @@ A table of its steps, from the start of the process to its end.
 Then the time of commands on finished runs, and of a benchmark of the methods.
 
     python benchmarks/whole.py                       140 frames of a simulated street, HDL-64E;
-    octomap and seethrough python benchmarks/whole.py SEQ [METHOD ...]
+        octomap and seethrough
+    python benchmarks/whole.py SEQ [METHOD ...]
 
 Each command runs in a process of its own, after a run on two frames that compiles. Steps exclude
 the steps that they call. Processor time is that of all threads: work in the background counts in

@@ -3,7 +3,8 @@
     python docs/draw.py                      # everything, some minutes
     python docs/draw.py dufomap              # the page of one method
     python docs/draw.py demo                 # the README, the tutorial and the pages on recordings;
-    needs Chromium python docs/draw.py --numbers [METHOD]   # the numbers without the pictures
+                                             # needs Chromium
+    python docs/draw.py --numbers [METHOD]   # the numbers without the pictures
 
 Simulates its scenes into a temporary folder. Writes the pictures in docs/ and docs/pictures/, and
 docs/methods/measured.json. docs/pictures/drawn.json keeps what the pictures of the demo are drawn

@@ -2,7 +2,7 @@
 
     python docs/generate.py            # bring all pages up to date
     python docs/generate.py --check    # change nothing; list the pages that are out of date, and
-    exit with 1
+                                       # exit with 1
 
 A page marks each part with a pair of comments:
 

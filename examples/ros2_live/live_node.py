@@ -1,7 +1,7 @@
 """A ROS 2 node: PointCloud2 in, the same PointCloud2 with the fields ``label`` and ``reason`` out.
 
     python live_node.py --ros-args -r points:=/ouster/points -p world:=odom -p method:=seethrough -p
-    sensor:=os1_64
+        sensor:=os1_64
 
 It needs the pose of the sensor: TF from the cloud's frame to ``world``, from odometry or SLAM.
 Parameters: ``method``, ``sensor``, ``reach`` (metres), ``world`` (frame). The static map around the

@@ -9,15 +9,18 @@ Jia et al. 2024. The algorithm:
     set bit k of a column if the map has points in slice k, h_res high, counted from the base
     for each scan, in a square window of side dis_range around the sensor
         encode the scan in the map's columns; remove the slices that are in the map but not in the
-        scan, except near:      slices within 2 m of the sensor sight:     from 15 m on, slices of a
-        column where the scan sees no ground seen:      in a column, slices from the highest one
-        that the scan sees upwards view:      where the scan sees none, slices from the upper edge
-        of its field of view upwards ground:    the lowest slice of a column overhang:  slices above
-        a gap of two slices blocked:   slices with scan points in front of them on the line from the
-        sensor split the slice below the lowest removed slice: its lowest fine bins, with 85 % of
-        its points, are ground
+            scan, except
+        near:      slices within 2 m of the sensor
+        sight:     from 15 m on, slices of a column where the scan sees no ground
+        seen:      in a column, slices from the highest one that the scan sees upwards
+        view:      where the scan sees none, slices from the upper edge of its field of view upwards
+        ground:    the lowest slice of a column
+        overhang:  slices above a gap of two slices
+        blocked:   slices with scan points in front of them on the line from the sensor
+        split the slice below the lowest removed slice: its lowest fine bins, with 85 % of its
+            points, are ground
     label a point dynamic if any scan removes its slice, or splits its slice and the point is above
-    the ground bins
+        the ground bins
 
 Slice 0 extends as far below the base as above it, and slice 30, the highest, includes everything
 above it. Points below slice 0 are kept unjudged. So are points that are not finite, or more than

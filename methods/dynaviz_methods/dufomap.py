@@ -5,10 +5,11 @@ any time is dynamic.
 
     for each scan
         hit:       mark the voxels of points, and those up to hit_margin in front of them along the
-        ray observed:  mark the voxels from the sensor to the first hit voxel, and unknown_margin
-        voxels beyond it void:      select the observed voxels that are not hit and whose cube of
-        unknown_margin voxels to each side is
-                   observed
+                   ray
+        observed:  mark the voxels from the sensor to the first hit voxel, and unknown_margin voxels
+                   beyond it
+        void:      select the observed voxels that are not hit and whose cube of unknown_margin
+                   voxels to each side is observed
         seen free: add the void voxels, permanently
     label a point dynamic if its voxel was ever seen free
 

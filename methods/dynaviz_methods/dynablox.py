@@ -4,23 +4,21 @@ Schmid et al. 2023, as the benchmark runs it. The algorithm, online:
 
     for each scan
         a  detect:     seed clusters from ever-free voxels with points; grow them over occupied
-        voxels that share a
-                       face, where only ever-free voxels keep growing; merge clusters closer than
-                       cluster_distance; call a cluster dynamic if it has from min_cluster to
-                       max_cluster points
+                       voxels that share a face, where only ever-free voxels keep growing; merge
+                       clusters closer than cluster_distance; call a cluster dynamic if it has from
+                       min_cluster to max_cluster points
         b  ever-free:  call a voxel occupied if it has a point, or if the last scan observed it with
-        a distance below
-                       occupied_distance
+                       a distance below occupied_distance
                        set it ever-free if the last scan observed it and it and its 26 neighbours
                        are clear: observed, with a distance of at least occupied_distance, last
-                       occupied more than burn_in frames ago revoke it and its 26 neighbours if it
-                       is occupied for revoke_after consecutive frames
+                       occupied more than burn_in frames ago
+                       revoke it and its 26 neighbours if it is occupied for revoke_after
+                       consecutive frames
         c  TSDF:       project the scan into a range image; update each voxel in view by the average
-        of the projective
-                       distances along its ray, truncated; skip voxels farther than truncation
-                       behind a surface
+                       of the projective distances along its ray, truncated; skip voxels farther
+                       than truncation behind a surface
     label a point dynamic if its voxel is ever-free when the point arrives; with clusters, if its
-    cluster is dynamic
+        cluster is dynamic
 
 Consecutive means at most temporal_buffer frames apart. Points closer than min_range or farther than
 max_range, points that are not finite, and points more than 32768 voxels from the world's origin are

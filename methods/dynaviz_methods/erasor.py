@@ -4,13 +4,17 @@ than the scan.
 Lim et al. 2021; the parameters are those of the benchmark (Zhang et al. 2023). The algorithm:
 
     downsample the raw map to the centroids of its voxels; measure heights from the ground below the
-    sensor for every removal_interval-th scan, downsampled as well
+        sensor
+    for every removal_interval-th scan, downsampled as well
         bins:    assign the points within max_range and within the height band to rings and sectors
-        (R-POD) heights: compute the difference between the highest and the lowest point of each
-        bin, for map and scan flagged: flag bins with at least min_points scan points where scan /
-        map < scan_ratio and map > min_difference ground:  fit a plane to the lowest points of each
-        flagged bin, and refine it iteratively (R-GPF) remove the points of flagged bins that are
-        not ground from the map
+                 (R-POD)
+        heights: compute the difference between the highest and the lowest point of each bin, for
+                 map and scan
+        flagged: flag bins with at least min_points scan points where scan / map < scan_ratio and
+                 map > min_difference
+        ground:  fit a plane to the lowest points of each flagged bin, and refine it iteratively
+                 (R-GPF)
+        remove the points of flagged bins that are not ground from the map
     label a point dynamic if its voxel was removed from the map
 """
 

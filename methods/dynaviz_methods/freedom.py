@@ -6,21 +6,18 @@ an edge, for the map:
 
     for each scan
         a  detect:    set voxels with points to level 3 if they are free; grow over adjacent voxels
-        with points, one
-                      step to level 2 and two more to level 1
+                      with points, one step to level 2 and two more to level 1
                       revoke free voxels, and their neighbours, with points in counts_to_revert
                       scans in a row
         b  ray cast:  cast rays to the mean of the points of each voxel, and into the sky; they end
-        at voxels with
-                      points
+                      at voxels with points
         c  free:      call a voxel clear if counts_to_free scans in a row, of those that see it,
-        pass through it
+                      pass through it
                       set it free if it and its 26 neighbours are clear
         d  take back: raise what earlier scans saw in voxels that turn free now to level 3; grow it
-        over the points of
-                      the same scan, one step to level 2 and two more to level 1
+                      over the points of the same scan, one step to level 2 and two more to level 1
         e  insert:    fill empty sub-voxels with the scan's points and their level; replace points
-        of a higher level
+                      of a higher level
     label a point dynamic if the level of its sub-voxel is above 0 after the last scan
 
 Into the sky means: where a depth image has no return, up to its upper border, to the depth that the

@@ -5,21 +5,22 @@ unknown, occupied and free. The algorithm, online:
 
     for each scan
         a  observe:    cast an integer line to each voxel with points; all its voxels up to
-        max_range are observed b  filter:     set the likelihood of occupied to exp(-d^2 / 2
-        resolution^2), d the distance of the voxel from
-                       the nearest one with points in this scan or the last; update the belief of
-                       each observed voxel decide its state, occupied or free, if that belief
-                       exceeds belief
+                       max_range are observed
+        b  filter:     set the likelihood of occupied to exp(-d^2 / 2 resolution^2), d the distance
+                       of the voxel from the nearest one with points in this scan or the last;
+                       update the belief of each observed voxel
+                       decide its state, occupied or free, if that belief exceeds belief
         c  score:      for each voxel with points, count the voxels in a cube of kernel voxels that
-        have points and
-                       just turned from free to occupied, minus those of unknown state; at least 0
+                       have points and just turned from free to occupied, minus those of unknown
+                       state; at least 0
                        take the median over adjacent voxels with points, and sum these of the last
                        window scans
         d  threshold:  split the sums by Otsu's threshold; a voxel above it is dynamic
                        so is a voxel that was dynamic in the last scan and whose sum exceeds
-                       min_score so are voxels with points next to these
+                       min_score
+                       so are voxels with points next to these
     label a point dynamic if its voxel is dynamic when the point arrives, and the threshold exceeds
-    min_score
+        min_score
 
 "Dynamic" means moving now: an object that waits is static. Voxels that no scan observes for
 forget_after scans, or farther than 1.5 max_range, are unknown again. The first window + 1 scans,

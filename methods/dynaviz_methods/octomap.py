@@ -9,8 +9,9 @@ algorithm:
         F  noise:   find points far from their neighbours (statistical outlier removal)
         G  ground:  fit one plane to the other points (RANSAC); points near it are ground
         free:       find the voxels that rays cross; for each, once: log-odds += logit(prob_miss),
-        clamp occupied:   find the voxels of all points except ground; for each, once: log-odds +=
-        logit(prob_hit), clamp
+                    clamp
+        occupied:   find the voxels of all points except ground; for each, once: log-odds +=
+                    logit(prob_hit), clamp
     label a point static if the log-odds of its voxel are at least 0, or if it is ground
 
 Noise casts no ray. A ray crosses the voxels from the sensor's up to, but not including, the voxel

@@ -8,7 +8,7 @@ Kim and Kim, IROS 2020. An offline method, which needs the map of all scans firs
         for each resolution
             project the scan into a range image; keep the nearest return of each pixel
             flag each map point that is closer than its pixel's return by more than the threshold
-            times that range
+                times that range
     revert: unflag map points that are not flagged again in the coarser images of the revert step
     label each raw point as its map point
 

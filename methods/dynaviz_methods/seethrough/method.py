@@ -3,34 +3,35 @@ stands.
 
     for each scan
         ground: the lowest layers of its points that a slope from the level under the sensor can
-        reach, without pits,
-                within 10 % of their mean incline; level the scan if over 10 cm off the ground of
-                earlier ones
+                reach, without pits, within 10 % of their mean incline; level the scan if over 10 cm
+                off the ground of earlier ones
         hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into
-        the sky clear:  of the voxels that its rays cross, those without a hit of it or of the scan
-        before within ``guard`` object: join points ``ground_height`` to 4.5 m above the ground
-        across ``join_angle`` plus 2.7 ray spacings
+                the sky
+        clear:  of the voxels that its rays cross, those without a hit of it or of the scan before
+                within ``guard``
+        object: join points ``ground_height`` to 4.5 m above the ground across ``join_angle`` plus
+                2.7 ray spacings
     prior:      p = ``prior`` min(scans / 64, 1)
     voxel:      c scans saw it clear, q crossed it near such a hit, h hit it. With a = near q + hit
-    h, its evidence
-                is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) / (c + a + 1)
+                h, its evidence is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) /
+                (c + a + 1)
     place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels,
-    weighted with h; only
-                of voxels that contained points of objects, and that another scan hit or crossed
+                weighted with h; only of voxels that contained points of objects, and that another
+                scan hit or crossed
     certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan,
-    which weigh 1 + |k| moved:      an object has moved if its outline, within guard / 2, is
-    displaced by at least 2 guard in over ``hit``
-                of 64 scans, nothing was at its new end before or at its old one since, and one is
-                dynamic
+                which weigh 1 + |k|
+    moved:      an object has moved if its outline, within guard / 2, is displaced by at least 2
+                guard in over ``hit`` of 64 scans, nothing was at its new end before or at its old
+                one since, and one is dynamic
     track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time
-    or back: it covers
-                most 0.8 m columns of each (none with a static one as small), they half of its, most
-                visited by then; or one covers most of it, where its track came first; dynamic ones
-                alone, less others, had as many columns
+                or back: it covers most 0.8 m columns of each (none with a static one as small),
+                they half of its, most visited by then; or one covers most of it, where its track
+                came first; dynamic ones alone, less others, had as many columns
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first
-    0, computed twice point:      dynamic if f = u + inherit max(T, 0) > 0 in its place foot:
-    a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its
-    voxel
+                0, computed twice
+    point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
+    foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e
+                > p in its voxel
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points
 that are not finite and points more than 32768 voxels from the world's origin are kept unjudged.
