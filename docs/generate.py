@@ -24,15 +24,15 @@ import json
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import real_tables
 from griffe import Docstring, DocstringSectionAttributes
+from real_tables import methods, table
 
-from dynaviz.benchmarking.gain import drawn, interval
 from dynaviz.contracts import registry
 from dynaviz.diagnosis.sampling import TABLE
 
@@ -106,26 +106,10 @@ def filled(text: str, path: Path) -> str:
 
 
 @cache
-def methods() -> dict[str, Any]:
-    """The methods that come with dynaviz, by name."""
-    handles = (
-        handle for handle in registry.handles("methods") if handle.package == "dynaviz_methods"
-    )
-    return {handle.name: handle.load() for handle in handles}
-
-
-@cache
 def measurements() -> dict[str, Any]:
     """What docs/draw.py measured."""
     known: dict[str, Any] = json.loads((DOCS / "methods/measured.json").read_text(encoding="utf-8"))
     return known
-
-
-def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """A Markdown table."""
-    lines = [list(head), *([str(cell).replace("|", "\\|") for cell in row] for row in rows)]
-    first, *rest = ("| " + " | ".join(cells) + " |" for cells in lines)
-    return "\n".join([first, "|---" * len(lines[0]) + "|", *rest])
 
 
 def overview() -> str:
@@ -164,195 +148,6 @@ def protocols() -> str:
     return table(("protocol", "counts", "leaves out", "combines", "scores", "source"), rows)
 
 
-POSES = {"given": "given poses", "small-gicp": "`small-gicp`"}
-"""In words, the poses with which methods ran."""
-
-
-@cache
-def real() -> dict[str, Any]:
-    """What benchmarks/real.py counted."""
-    known: dict[str, Any] = json.loads((DOCS / "real.json").read_text(encoding="utf-8"))
-    return known
-
-
-@dataclasses.dataclass(frozen=True)
-class RealScore:
-    """A method on a real drive.
-
-    Attributes:
-        SA, DA, AA: percent; low, high: ends of the interval of AA over drawn movers.
-        found: movers of which at least half of the points are removed; movers: all.
-    """
-
-    SA: float
-    DA: float
-    AA: float
-    low: float
-    high: float
-    found: int
-    movers: int
-
-    @classmethod
-    def of(cls, cell: dict[str, Any]) -> RealScore:
-        """From the counts of a cell."""
-        points = np.array([number for _, number in drive_of(cell)["movers"]])
-        removed = np.array(cell["removed"])
-        (kept, lost) = cell["static"]
-        SA = kept / (kept + lost)
-        DA = removed.sum() / points.sum()
-        sums = drawn(np.stack([removed, points], 1))
-        low, high = interval(100 * np.sqrt(SA * sums[:, 0] / sums[:, 1]))
-        found = int((2 * removed >= points).sum())
-        return cls(100 * SA, 100 * DA, 100 * float(np.sqrt(SA * DA)), low, high, found, len(points))
-
-    @property
-    def rates(self) -> str:
-        """SA, DA and AA."""
-        return f"{self.SA:.1f}/{self.DA:.1f}/**{self.AA:.1f}**"
-
-    def __str__(self) -> str:
-        return f"{self.rates} ({self.low:.0f}-{self.high:.0f}) {self.found}"
-
-
-def drive_of(cell: dict[str, Any]) -> dict[str, Any]:
-    """The facts of the drive of a cell."""
-    found: dict[str, Any] = next(
-        drive for drive in real()["drives"] if drive["name"] == cell["drive"]
-    )
-    return found
-
-
-def real_scores(drive: str, poses: str, tuned: bool = False) -> dict[str, RealScore]:
-    """The scores of each method on a drive, best AA first."""
-    cells = (cell for cell in real()["cells"] if (cell["drive"], cell["poses"]) == (drive, poses))
-    scores = {cell["method"]: RealScore.of(cell) for cell in cells if bool(cell["set"]) == tuned}
-    return dict(sorted(scores.items(), key=lambda each: -each[1].AA))
-
-
-def real_drives() -> str:
-    """Facts of the drives of benchmarks/real.py."""
-    rows = (
-        (
-            f"`{drive['name']}`",
-            drive["where"],
-            drive["sensor"],
-            drive["frames"],
-            drive["labelled"],
-            len(drive["movers"]),
-            drive["licence"],
-        )
-        for drive in real()["drives"]
-    )
-    return table(
-        ("drive", "recorded in", "sensor", "frames", "labelled", "movers", "licence"), rows
-    )
-
-
-def real_table() -> str:
-    """All cells of benchmarks/real.py.
-
-    Drives and methods by poses, and by parameters if they were searched.
-
-    Methods with the same scores share a row, and only the first row of a drive names it.
-    """
-    rows = []
-    searched = {(each["drive"], each["method"]) for each in real()["searches"]}
-    head = (
-        "drive",
-        "method",
-        *(f"{words}{tuned}" for tuned in ("", ", tuned") for words in POSES.values()),
-    )
-    for drive in (each["name"] for each in real()["drives"]):
-        known = [real_scores(drive, poses, tuned) for tuned in (False, True) for poses in POSES]
-        names: dict[tuple[str, ...], list[str]] = {}
-        for name in real_scores(drive, "small-gicp"):
-            instead = "unproven" if (drive, name) in searched else ""
-            names.setdefault(tuple(str(each.get(name, instead)) for each in known), []).append(
-                f"`{name}`"
-            )
-        firsts = [f"`{drive}`", *[""] * (len(names) - 1)]
-        rows += [
-            (first, ", ".join(each), *cells)
-            for first, (cells, each) in zip(firsts, names.items(), strict=True)
-        ]
-    return table(head, rows)
-
-
-def real_first() -> str:
-    """On which drives SeeThrough is first, and which method is where it is not.
-
-    Also among tuned methods.
-    """
-    ours = "seethrough"
-    sentences = []
-    tunable = {each["drive"] for each in real()["searches"]}
-    for tuned, words in (
-        (False, "at default parameters"),
-        (True, "each method at its tuned parameters if a search has proven their gain"),
-    ):
-        drives = [each["name"] for each in real()["drives"] if not tuned or each["name"] in tunable]
-        pairs = [(drive, poses) for drive in drives for poses in POSES]
-        others = []
-        for drive, poses in pairs:
-            scores = real_scores(drive, poses) | (
-                real_scores(drive, poses, tuned=True) if tuned else {}
-            )
-            best = max(scores, key=lambda name: scores[name].AA)
-            if best != ours:
-                behind = (
-                    f"{methods()[best].info.title} {scores[best].AA:.1f}, SeeThrough "
-                    f"{scores[ours].AA:.1f}"
-                )
-                others.append(f"`{drive}` with {POSES[poses]} ({behind})")
-        first = (
-            f"Of {len(pairs)} combinations of a drive and its poses, SeeThrough has the highest AA "
-            "on"
-        )
-        rest = f" It is not first on {'; '.join(others)}." if others else ""
-        sentences += [f"{first} {len(pairs) - len(others)}, {words}.{rest}"] if pairs else []
-    return " ".join([*sentences, *real_losses()])
-
-
-def real_losses() -> list[str]:
-    """Which methods have a lower AA on true movers with parameters whose gain on implants is
-    proven.
-    """
-    tuned = [cell for cell in real()["cells"] if cell["set"]]
-    worse = []
-    for cell in tuned:
-        before = real_scores(cell["drive"], cell["poses"])[cell["method"]].AA
-        after = RealScore.of(cell).AA
-        if after < before:
-            place = f"on `{cell['drive']}` with {POSES[cell['poses']]}"
-            worse.append(
-                f"{methods()[cell['method']].info.title} {place} ({before:.1f} to {after:.1f})"
-            )
-    return (
-        [
-            f"Of {len(tuned)} tuned cells, AA on true movers is lower in {len(worse)}: "
-            f"{'; '.join(worse)}."
-        ]
-        if worse
-        else []
-    )
-
-
-def real_five() -> str:
-    """Five methods on the drives with more than a few scans, with estimated poses."""
-    names = [
-        each["name"]
-        for each in real()["drives"]
-        if each["labelled"].startswith("boxes") and each["frames"] > 2
-    ]
-    scores = {name: real_scores(name, "small-gicp") for name in names}
-    shown = ("erasor", "octomap_gf", "dufomap", "dynablox", "seethrough")
-    rows = (
-        (methods()[name].info.title, *(scores[drive][name].rates for drive in names))
-        for name in shown
-    )
-    return table(("SA / DA / AA", *(name.replace("_", " ") for name in names)), rows)
-
-
 def sampling() -> str:
     """DA of each method by scans that see a place and by rings, on two drives."""
     rows = json.loads(TABLE.read_text(encoding="utf-8"))
@@ -373,8 +168,7 @@ def sampling() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    each.__name__: each
-    for each in (overview, protocols, real_drives, real_table, real_first, real_five, sampling)
+    each.__name__: each for each in (overview, protocols, sampling, *real_tables.TABLES)
 }
 
 

@@ -22,6 +22,7 @@ def generate() -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules["generate"] = module
+    sys.path.insert(0, str(ROOT / "docs"))  # where it finds the module of the tables
     spec.loader.exec_module(module)
     return module
 

@@ -14,6 +14,7 @@ import dynaviz as dv
 from dynaviz.benchmarking.gain import DRAWS
 
 ROOT = Path(__file__).resolve().parents[2]
+SEALED: dict[str, Any] = json.loads((ROOT / "docs/sealed.json").read_text(encoding="utf-8"))
 STORED: dict[str, Any] = json.loads((ROOT / "docs/real.json").read_text(encoding="utf-8"))
 DRIVE, METHOD = "nuscenes_scene-0916", "beautymap"
 COLUMNS = {
@@ -33,9 +34,8 @@ TUNED = next(cell for cell in STORED["cells"] if cell["set"] and cell["poses"] =
 @pytest.mark.parametrize("cell", [CELL, TUNED], ids=["default", "tuned"])
 def test_a_row_follows_from_the_file(cell: dict[str, Any]) -> None:
     page = (ROOT / "docs/results.md").read_text(encoding="utf-8")
-    scores = page[page.index("## Scores") :].split(f"| `{cell['drive']}` |")[
-        1
-    ]  # a drive is named in its first row
+    scores = page[page.index("### Scores") :]
+    scores = scores.split(f"| `{cell['drive']}` |")[1]  # a drive is named in its first row
     row = next(line for line in scores.splitlines() if f"`{cell['method']}`" in line)
     row = row[row.index(f"`{cell['method']}`") :]
     text = row.split("|")[COLUMNS[cell["poses"], bool(cell["set"])]]
@@ -72,6 +72,67 @@ def test_every_drive_has_every_method_with_both_poses() -> None:
             ]
             assert sorted(cell["method"] for cell in cells) == sorted(methods)
             assert {len(cell["removed"]) for cell in cells} == {len(drive["movers"])}
+
+
+def sealed_rows(page: str, head: str) -> dict[str, list[str]]:
+    """The cells of a table of sealed drives, by the text of the first column."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    lines = text[text.index(head) :].splitlines()
+    rows = lines[2 : next(k for k, line in enumerate(lines) if not line.startswith("|"))]
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    return {first.strip("`"): rest for first, *rest in cells}
+
+
+def test_the_sealed_table_follows_from_its_file() -> None:
+    """Every cell, the mean rank and the lowest AA."""
+    names = [drive["name"] for drive in SEALED["drives"]]
+    AA: dict[str, dict[str, float]] = {name: {} for name in names}
+    rows = sealed_rows("docs/results.md", "| method | nuscenes scene-0523")
+    for cell in SEALED["cells"]:
+        kept, lost = cell["static"]
+        taken, left = cell["dynamic"]
+        SA = 100 * kept / (kept + lost)
+        DA = 100 * taken / (taken + left)
+        AA[cell["drive"]][cell["method"]] = (SA * DA) ** 0.5
+        shown = rows[cell["method"]][names.index(cell["drive"])]
+        numbers = [float(each) for each in re.findall(r"[\d.]+", shown)]
+        assert numbers[:3] == pytest.approx([SA, DA, (SA * DA) ** 0.5], abs=0.051)
+        movers = next(
+            drive["movers"] for drive in SEALED["drives"] if drive["name"] == cell["drive"]
+        )
+        assert len(numbers) == (6 if movers else 3)
+        if movers:
+            assert numbers[5] == sum(
+                2 * removed >= points
+                for removed, (_, points) in zip(cell["removed"], movers, strict=True)
+            )
+    for method, row in rows.items():
+        ranks = [
+            1 + sum(other > known[method] for other in known.values()) for known in AA.values()
+        ]
+        assert float(row[-2]) == pytest.approx(sum(ranks) / len(ranks), abs=0.051)
+        assert float(row[-1]) == pytest.approx(min(k[method] for k in AA.values()), abs=0.051)
+    order = [float(row[-2]) for row in rows.values()]
+    assert order == sorted(order)
+
+
+def test_where_seethrough_is_not_first_is_named() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for drive in SEALED["drives"]:
+        scores = {
+            cell["method"]: cell["static"][0]
+            / sum(cell["static"])
+            * cell["dynamic"][0]
+            / sum(cell["dynamic"])
+            for cell in SEALED["cells"]
+            if cell["drive"] == drive["name"]
+        }
+        named = f"{drive['name'].replace('_', ' ')} (" in text
+        assert named == (max(scores, key=scores.__getitem__) != "seethrough")
+
+
+def test_the_sealed_counts_are_those_that_were_given(shared: Path) -> None:
+    assert json.loads((shared / "data/sealed.json").read_text(encoding="utf-8")) == SEALED
 
 
 @pytest.mark.slow
