@@ -125,7 +125,7 @@ def child(command: str, method: str, source: str, out: str, frames: str | None =
 
         for each in ("begin", "observing", "observed", "labelled", "finish", "__exit__"):
             steps.wrap(Recorder, each, f"recording: {each.strip('_')}")
-        steps.wrap(Recorder, "_replay", "recording: evidence of the cases")
+        steps.wrap(Recorder, "_repeat", "recording: evidence of the cases")
         steps.wrap(Background, "wait", "recording: waiting for states")
     if command == "clean":
         steps.wrap(cleaned_map, "write_maps", "maps")

@@ -1,7 +1,7 @@
 """Evidence: the numbers behind a label, an optional part of the contract of methods.
 
 A method that implements ``Explains`` can be asked, after each ``observe`` and after ``label``, what
-it knows about some points. ``dynaviz.engine.replay`` runs a method again and asks after each scan;
+it knows about some points. ``dynaviz.explain.repeat`` runs a method again and asks after each scan;
 the differences between scans are what each scan contributed. A method does no work for this in a
 normal run.
 """

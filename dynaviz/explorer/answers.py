@@ -13,15 +13,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from dynaviz.engine.case_evidence import decided_by, evidence_text
-from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.errors import UsageError
+from dynaviz.explain.case_evidence import decided_by, evidence_text
+from dynaviz.explain.document import Why, cause_at
+from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.explain.rays import TouchingRays, rays_of, spans_of_rays
+from dynaviz.explain.strip import strip, what_if
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.reruns import Rerun
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.explorer.strip import strip, what_if
-from dynaviz.runs.explanation import Why, cause_at
 from dynaviz.runs.relabelling import (
     LABELS,
     Box,
@@ -33,7 +34,6 @@ from dynaviz.runs.relabelling import (
 )
 from dynaviz.views.read.focus import CASE, LAYOUTS, MAP
 from dynaviz.views.read.shot import LARGEST, shot
-from dynaviz.views.witnesses import TouchingRays, rays_of, spans_of_rays
 
 PNG = "image/png"
 MP4 = "video/mp4"

@@ -14,14 +14,14 @@ import numpy as np
 from dynaviz import colours
 from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts.scan import Outcome
-from dynaviz.engine.point_ledger import PointLedger
+from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.explain.rays import evenly
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.runs.relabelling import Corner
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.sections import RemovedCluster
 from dynaviz.views.cases import OUTCOMES, middle_of, title_of
 from dynaviz.views.read.focus import ASIDE, FIELD_OF_VIEW, distance_to
-from dynaviz.views.witnesses import evenly
 
 BARS = 40  # of a sparkline, at most
 MARGIN = 0.02  # metres around the box of a case, whose corners are rounded

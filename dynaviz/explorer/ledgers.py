@@ -12,8 +12,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from dynaviz.errors import UsageError
+from dynaviz.explain.document import Why
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.runs.explanation import Why, why
+from dynaviz.runs.explanation import why
 
 MOST = 64  # ledgers that are kept
 

@@ -16,9 +16,9 @@ import numpy as np
 from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Label, Outcome
-from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.errors import DataError, UsageError
-from dynaviz.runs.explanation import sentence
+from dynaviz.explain.document import sentence
+from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.scores.failure_case import case_at

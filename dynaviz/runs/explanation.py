@@ -1,99 +1,23 @@
-"""Why a point of a run got its label: the run is replayed, and the ledger of the point kept."""
+"""Ask a run why points got their labels."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from dynaviz.contracts.evidence import Explains
-from dynaviz.contracts.method import Reason
-from dynaviz.engine.case_evidence import evidence_of, flip
-from dynaviz.engine.ledger import Ledger
-from dynaviz.engine.point_ledger import PointLedger
+from dynaviz.contracts.plugin_code import plugin
+from dynaviz.engine.loop import RunSpec
 from dynaviz.errors import DataError, UsageError
+from dynaviz.explain.document import Why, cause_at
+from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.explain.repeat import repeat
 from dynaviz.progress import Progress, silent
-from dynaviz.runs.run import Run, open_run
-from dynaviz.scores.failure_case import case_at
+from dynaviz.runs.run import ELSEWHERE, Run, open_run
 from dynaviz.scores.result import Result
 from dynaviz.sources.opening import Source
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-
-@dataclass(frozen=True, slots=True)
-class Why:
-    """Why a point got its label; printing it shows the ledger.
-
-    Attributes:
-        method, title: of the run.
-        sequence: name of the sequence.
-        online: whether labels were decided right after each scan.
-        ledger: the scans that touched the point, what each contributed, and the rules that decided.
-        cause: of the failure case that contains the point; None if no listed case does, or the
-            label is right.
-        note: what the ledger cannot show; empty if nothing.
-    """
-
-    method: str
-    title: str
-    sequence: str
-    online: bool
-    ledger: PointLedger
-    cause: str | None = None
-    note: str = ""
-
-    @property
-    def sentence(self) -> str:
-        """Truth, label and reason in a sentence."""
-        found = self.ledger
-        return sentence(
-            found.truth, "removed" if found.removed else "kept", found.reason, self.cause
-        )
-
-    @property
-    def evidence(self) -> str:
-        """The rays that touched the cell around the point, what decided, and what would change the
-        label.
-        """
-        return f"{evidence_of([self.ledger]).text} {flip(self.ledger)}".strip()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Everything in plain types that JSON knows; numbers that are not finite become None."""
-        plain: dict[str, Any] = _plain(
-            {**dataclasses.asdict(self), "sentence": self.sentence, "evidence": self.evidence}
-        )
-        return plain
-
-    def __rich__(self) -> RenderableType:
-        from dynaviz.runs.ledger_table import ledger_table
-
-        place = " ".join(f"{x:.2f}" for x in self.ledger.position)
-        where = f"point {self.ledger.point} of frame {self.ledger.frame}, at ({place}) m"
-        head = f"{self.title} on {self.sequence}: {where}", self.sentence, self.evidence, self.note
-        return ledger_table(self.ledger, [line for line in head if line])
-
-
-def sentence(truth: str | None, answer: str, reason: Reason, cause: str | None) -> str:
-    """The label of a point in a sentence.
-
-    Args:
-        truth: ``static``, ``dynamic`` or None.
-        answer: ``removed`` or ``kept``; without ground truth also what the point did, as
-            ``appeared``.
-        reason: why it got the label.
-        cause: of the failure case that contains it, if any.
-    """
-    meaning = reason.meaning.partition(": ")[2] or reason.meaning
-    if truth is None:
-        return f"{answer.capitalize()} (no ground truth): {meaning}."
-    if (answer == "removed") == (truth == "dynamic"):
-        return f"Right: {truth}, and {answer}: {meaning}."
-    return f"Wrong: {truth}, but {answer}: {meaning}.{f' Cause: {cause}.' if cause else ''}"
+from dynaviz.sources.summary import summarize
 
 
 def why(
@@ -152,8 +76,10 @@ def explain(
         UsageError, DataError: as ``why``.
     """
     opened = run if isinstance(run, Run) else open_run(run)
-    ledger = Ledger(points)
-    spec = opened.replay([ledger], at=sequence, threads=threads, progress=progress)
+    spec = _again(opened, sequence, threads, progress)
+    repeated = repeat(spec, list(points.items()), whole=True, progress=progress)
+    if opened.result.labels_sha256 not in ("", repeated.labels_sha256):
+        raise DataError(opened.path, _changed(opened.result), hint="Run the method again")
     info = spec.labeller.info
     note = ""
     if spec.method is None:
@@ -168,22 +94,42 @@ def explain(
             Why(*facts, each, cause_at(opened.result, each), note)
             for each in (_stored(opened, e) for e in found)
         )
-        for frame, found in ledger.ledgers.items()
+        for frame, found in zip(points, repeated.ledgers, strict=True)
     }
 
 
-def cause_at(result: Result, ledger: PointLedger) -> str | None:
-    """The cause of the failure case that contains a point.
+def _again(run: Run, at: Source | None, threads: int | None, progress: Progress) -> RunSpec:
+    """The run again, on the same data.
 
-    None if no listed case does, or the label is right.
+    Raises:
+        UsageError: as ``Run.sequence`` and ``Run.spec``.
+        DataError: for data that cannot be read, or a different sequence.
     """
-    if not ledger.wrong:
-        return None
-    if ledger.case is not None:
-        return result.failures[ledger.case - 1].cause
-    kind = "false_positive" if ledger.removed else "false_negative"
-    case = case_at(result.failures, kind, ledger.frame, ledger.position)
-    return None if case is None else case.cause
+    spec = run.spec(run.sequence(at, progress), threads)
+    total = len(spec.sequence)
+    summary = summarize(spec.sequence, lambda done: progress("survey", done, total))
+    if run.result.sequence.digest not in ("", summary.digest):
+        problem = f"is from a different sequence than the {total:,} frames of {spec.sequence.name}"
+        raise DataError(run.path, problem, hint=ELSEWHERE)
+    return dataclasses.replace(spec, summary=summary)
+
+
+def _changed(result: Result) -> str:
+    """Why repeating a run may give other labels."""
+    now, then = _code(result)
+    if then and now and now != then:
+        return (
+            f"was made by other code of {result.method}, whose labels this version does not "
+            "reproduce"
+        )
+    version = result.environment.versions.get("dynaviz", "of another version")
+    return f"was written by dynaviz {version}, whose labels this version does not reproduce"
+
+
+def _code(result: Result) -> tuple[str, str]:
+    """Digests of the method's code now and when the run was made; empty if unknown."""
+    found = plugin("methods", result.method)
+    return found.sha256 if found else "", result.plugin.sha256 if result.plugin else ""
 
 
 def _stored(run: Run, ledger: PointLedger) -> PointLedger:
@@ -201,11 +147,3 @@ def _stored(run: Run, ledger: PointLedger) -> PointLedger:
         ):
             return dataclasses.replace(ledger, case=number)
     return ledger
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

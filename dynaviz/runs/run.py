@@ -6,7 +6,6 @@ Its result, labels and recording, its sequence, and the run again.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from dynaviz.contracts import registry
-from dynaviz.contracts.plugin_code import plugin
 from dynaviz.contracts.scan import Sequence
 from dynaviz.engine.external import PrecomputedLabels
-from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.loop import RunSpec
 from dynaviz.engine.needs import suited
 from dynaviz.errors import DataError, UsageError
 from dynaviz.progress import Progress, silent
@@ -26,7 +24,6 @@ from dynaviz.scores.labels import RunLabels
 from dynaviz.scores.result import Result
 from dynaviz.sources.opening import Source, open_source, reopened
 from dynaviz.sources.options import SequenceOptions
-from dynaviz.sources.summary import SequenceSummary
 
 if TYPE_CHECKING:
     from dynaviz.views.read.reader import RunRecording
@@ -185,52 +182,6 @@ class Run:
                 f"{self.path}: {name} has other parameters than the run: {error}. Run it again"
             ) from None
 
-    def replay(
-        self,
-        listeners: Iterable[Listener] = (),
-        *,
-        at: Source | None = None,
-        threads: int | None = None,
-        progress: Progress = silent,
-    ) -> RunSpec:
-        """Run the method again on the same data, and check that the labels are the same.
-
-        Args:
-            listeners: notified of each scan.
-            at: as for ``sequence``.
-            threads: for kernels; None for all cores.
-            progress: called with a phase, the number of frames done and their total.
-
-        Returns:
-            What ran.
-
-        Raises:
-            UsageError: as ``sequence`` and ``spec``.
-            DataError: for data that cannot be read, a different sequence, or different labels.
-        """
-        spec = self.spec(self.sequence(at, progress), threads)
-        replayed = execute(spec, [_SameData(self), *listeners], progress=progress)
-        if self.result.labels_sha256 and replayed.labels_sha256 != self.result.labels_sha256:
-            raise DataError(self.path, self._changed(), hint="Run the method again")
-        return spec
-
-    def _changed(self) -> str:
-        """Why a replay may give other labels."""
-        now, then = _code(self.result)
-        if then and now and now != then:
-            return (
-                f"was made by other code of {self.result.method}, whose labels this version does "
-                "not reproduce"
-            )
-        version = self.result.environment.versions.get("dynaviz", "of another version")
-        return f"was written by dynaviz {version}, whose labels this version does not reproduce"
-
-
-def _code(result: Result) -> tuple[str, str]:
-    """Digests of the method's code now and when the run was made; empty if unknown."""
-    found = plugin("methods", result.method)
-    return found.sha256 if found else "", result.plugin.sha256 if result.plugin else ""
-
 
 def open_run(run: str | os.PathLike[str] | Result) -> Run:
     """Open a run.
@@ -267,19 +218,3 @@ def open_run(run: str | os.PathLike[str] | Result) -> Run:
     found = Run(recording.result, path, path.parent)
     found.__dict__["recording"] = recording
     return found
-
-
-class _SameData(Listener):
-    """Checks that the sequence is that of the run."""
-
-    def __init__(self, run: Run) -> None:
-        self._run = run
-
-    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
-        """Compare digests."""
-        if self._run.result.sequence.digest not in ("", summary.digest):
-            problem = (
-                f"is from a different sequence than the {summary.frames:,} frames of "
-                f"{run.sequence.name}"
-            )
-            raise DataError(self._run.path, problem, hint=ELSEWHERE)

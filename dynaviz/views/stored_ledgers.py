@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz.arrays import U8
-from dynaviz.engine.point_ledger import PointLedger
+from dynaviz.explain.point_ledger import PointLedger
 
 ARCHETYPE = "dynaviz.Ledgers"
 COMPONENT = "packed"

@@ -23,12 +23,12 @@ import dynaviz as dv
 from dynaviz import colours
 from dynaviz.arrays import U8
 from dynaviz.contracts.scan import Outcome
-from dynaviz.engine.case_evidence import evidence_of
 from dynaviz.errors import DataError, UsageError
+from dynaviz.explain.case_evidence import evidence_of
+from dynaviz.explain.strip import strip
 from dynaviz.explorer.cards import MAP_MARGIN, cards, surroundings
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.explorer.server import Explorer
-from dynaviz.explorer.strip import strip
 from dynaviz.scores.result import Result
 from dynaviz.views.cases import OUTCOMES
 from dynaviz.views.read.reader import RunRecording

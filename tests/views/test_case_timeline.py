@@ -16,9 +16,10 @@ from dynaviz import colours
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import RangeImage, State, Voxels
 from dynaviz.contracts.scan import Outcome
+from dynaviz.explain.rays import spans_of_rays
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.spans import LANES, lane
-from dynaviz.views import paths, witnesses
+from dynaviz.views import paths
 from dynaviz.views.cases import DID, listed, suspicious
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.record.case_timeline import see
@@ -113,7 +114,7 @@ def test_objects_over_time_follow_from_the_result_and_the_ledgers(recorded: RunR
         for path in recorded.entities()
         if path.startswith(f"{paths.OBJECTS}/01_")
     }
-    spans = {**case.spans, **witnesses.spans_of_rays(recorded.ledgers(1))}
+    spans = {**case.spans, **spans_of_rays(recorded.ledgers(1))}
     assert spans
     for name in LANES:
         at, found = {}, ""

@@ -36,8 +36,12 @@ export function timeStrip(lanes, frames, pick) {
   return make('figure', {}, svg, make('figcaption', { class: 'short' }, [...seen, 'unseen'].map(state => key(`${lanes[0].kind} ${state}`, state))))
 }
 
-/** A number with at most three decimals. */
-export const short = value => value === null || value === undefined ? '' : String(Number(value.toFixed(Math.abs(value) < 1 ? 3 : 2)))
+/** A number in the same digits as in all sentences (number in dynaviz/explain/words.py; a test compares them). */
+export function short(value) {
+  if (value === null || value === undefined) return ''
+  const decimals = Number.isInteger(value) ? 0 : Math.min(Math.max(2 - Math.floor(Math.log10(Math.abs(value))), 0), 20)
+  return value.toLocaleString('en', { maximumFractionDigits: decimals, roundingMode: 'halfEven' })
+}
 const signed = value => `${value < 0 ? '−' : '+'}${short(Math.abs(value))}`
 
 const W = 340, L = 42, R = 6, TOP = 8, LINE = 74, BARS = 54, B = 16

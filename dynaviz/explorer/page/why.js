@@ -171,9 +171,7 @@ export class PointPanel {
 }
 
 function ruleElement(rule) {
-  const terms = rule.terms.map(term => `${term.name} ${short(term.value) || '–'}${term.holds ? ' ' : ' not '}${term.test} ${short(term.threshold)}${term.unit ? ` ${term.unit}` : ''}`)
-  return make('li', { class: rule.holds ? 'holds' : '' }, make('b', {}, `${rule.name}: ${rule.holds ? 'yes, so it is removed' : 'no'}`),
-    ` ${terms.join(' and ')}${rule.frame === null ? '' : ` (frame ${rule.frame})`}`)
+  return make('li', { class: rule.holds ? 'holds' : '' }, make('b', {}, rule.holds ? 'Yes, so it is removed.' : 'No.'), ` ${rule.text}`)
 }
 
 function scanTable(ledger) {

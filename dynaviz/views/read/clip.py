@@ -18,6 +18,7 @@ from dynaviz import colours
 from dynaviz.arrays import F64, U8
 from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DynavizError, UsageError
+from dynaviz.explain.rays import spans_of_rays
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.spans import LANES, Span, lane
 from dynaviz.views import keys, paths, viewer
@@ -26,7 +27,6 @@ from dynaviz.views.layout import blueprint, solid
 from dynaviz.views.read.focus import ASIDE, eye_on
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.record.scene import EDGES, WIRES
-from dynaviz.views.witnesses import spans_of_rays
 
 BEFORE_AND_AFTER = 5  # frames around those of the case
 MOST = 60  # frames of a clip; of longer cases every n-th is shown

@@ -17,11 +17,11 @@ from dynaviz.arrays import F64
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import Voxels
 from dynaviz.contracts.scan import Outcome
+from dynaviz.explain.rays import TouchingRays
 from dynaviz.views import drawn, keys, paths
 from dynaviz.views.layout import CLEAR, blueprint, follow, solid, with_key
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.record.scene import EDGES, WIRES
-from dynaviz.views.witnesses import TouchingRays
 
 BOX = "world/explore/box"
 POINT = "world/explore/point"

@@ -23,8 +23,8 @@ from rerun.chunk import RrdReader
 from dynaviz.arrays import F32, F64, I64, U8
 from dynaviz.contracts.method import Cause, Reason
 from dynaviz.contracts.scan import Outcome
-from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.errors import DataError, DynavizError
+from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.scores.comparison.frame_answers import ARCHETYPE, FrameAnswers
 from dynaviz.scores.result import Result
 from dynaviz.views import classes, paths, stored_ledgers

@@ -17,10 +17,11 @@ from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import FrameBoxes
 from dynaviz.contracts.scan import Outcome
-from dynaviz.engine.case_evidence import evidence_text
-from dynaviz.engine.point_ledger import PointLedger
+from dynaviz.explain import rays
+from dynaviz.explain.case_evidence import evidence_text
+from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.scores.spans import LANES, lane
-from dynaviz.views import classes, drawn, object_lanes, paths, stored_ledgers, witnesses
+from dynaviz.views import classes, drawn, object_lanes, paths, stored_ledgers
 from dynaviz.views.cases import POINTS, ShownCase, middle_of
 from dynaviz.views.layout import CIRCLE
 from dynaviz.views.record.scene import NAME_STYLE, WIRES
@@ -44,7 +45,7 @@ THIN = rr.Radius.ui_points(0.5)
 RAYS = rr.Radius.ui_points(0.35)
 HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
 
-Replay = Callable[[Sequence[tuple[int, Sequence[int]]]], list[tuple[PointLedger, ...]]]
+Repeat = Callable[[Sequence[tuple[int, Sequence[int]]]], list[tuple[PointLedger, ...]]]
 Members = Callable[[ShownCase, I64], Bool]
 
 
@@ -100,12 +101,12 @@ class CaseTimeline:
                 self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=fixed))
 
     def draw(
-        self, replay: Replay, members: Members, sensor: F64, boxes: FrameBoxes
+        self, repeat: Repeat, members: Members, sensor: F64, boxes: FrameBoxes
     ) -> tuple[str | None, dict[str, F32]]:
         """Draw the cases, on both timelines, and store the evidence on their points.
 
         Args:
-            replay: repeats the run.
+            repeat: repeats the run.
             members: tells which rows of the recorded points belong to a case.
             sensor: (frames, 3) metres, world frame: its positions.
             boxes: of the cases, by frame.
@@ -122,7 +123,7 @@ class CaseTimeline:
         asked = [
             points_of(case, rows.get((paths.SCAN, case.frame)), members) for case in self._cases
         ]
-        ledgers = replay(
+        ledgers = repeat(
             [(case.frame, points) for case, points in zip(self._cases, asked, strict=True)]
         )
         room = stored_ledgers.MOST_BYTES
@@ -132,7 +133,7 @@ class CaseTimeline:
             here = {path: row for (path, frame), row in rows.items() if frame == case.frame}
             deciding.append(self._deciding(here, case))
             self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
-            self._rays(witnesses.rays_of(found, witnesses.STRIPS))
+            self._rays(rays.rays_of(found, rays.STRIPS))
             self._lanes(case, found)
             evidence = f"- **Evidence**: {evidence_text(found, case.failure)}\n" if found else ""
             self._text(f"{case.text}\n{evidence}{see(self._info, deciding[-1])}\n{HOW}")
@@ -179,7 +180,7 @@ class CaseTimeline:
         log(paths.CASE_NAME, NAME_STYLE, static=True)
         log(paths.CASE_AROUND, lines(colors=[90, 90, 100], radii=THIN), static=True)
         log(paths.CASE_AIM, lines(colors=[70, 70, 80], radii=THIN), static=True)
-        legend = [(kind, name, colours.RAYS[kind]) for kind, name in witnesses.NAMES.items()]
+        legend = [(kind, name, colours.RAYS[kind]) for kind, name in rays.NAMES.items()]
         log(
             paths.CASE_RAYS,
             rr.AnnotationContext(legend),
@@ -187,17 +188,17 @@ class CaseTimeline:
             static=True,
         )
 
-    def _rays(self, rays: witnesses.TouchingRays) -> None:
-        kinds = rays.kinds.astype(np.uint16)
+    def _rays(self, touching: rays.TouchingRays) -> None:
+        kinds = touching.kinds.astype(np.uint16)
         self._sink.log(
-            paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=rays.strips, class_ids=kinds)
+            paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=touching.strips, class_ids=kinds)
         )
 
     def _lanes(self, case: ShownCase, ledgers: Sequence[PointLedger]) -> None:
         """The object or place of a case over time; on the timeline of frames."""
         if case.number > object_lanes.MOST or not case.spans:
             return
-        spans = {**case.spans, **witnesses.spans_of_rays(ledgers)}
+        spans = {**case.spans, **rays.spans_of_rays(ledgers)}
         parts = {name: lane(spans, name) for name in LANES}
         ghost = case.outcome == Outcome.FALSE_NEGATIVE
         for path, style, frames, states in object_lanes.lanes(
@@ -323,7 +324,7 @@ def points_of(case: ShownCase, scan: drawn.Row | None, members: Members) -> list
     middle = mine[middle_of(xyz[mine])]
     _, first = np.unique(np.floor(xyz[mine] / APART), axis=0, return_index=True)
     mine = mine[np.sort(first)]
-    mine = np.union1d(mine[witnesses.evenly(len(mine), POINTS_ASKED - 1)], middle)
+    mine = np.union1d(mine[rays.evenly(len(mine), POINTS_ASKED - 1)], middle)
     chosen: list[int] = rows[mine].tolist()
     return chosen
 

@@ -20,9 +20,9 @@ from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.engine.loop import Listener, RunSpec
-from dynaviz.engine.point_ledger import PointLedger
-from dynaviz.engine.replay import replay
 from dynaviz.errors import PluginError, UsageError
+from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.explain.repeat import repeat
 from dynaviz.io.atomic import sha256
 from dynaviz.scores.comparison import frame_answers
 from dynaviz.scores.result import RecordMode, Result, environment
@@ -264,8 +264,8 @@ class Recorder(Listener):
         if self._scene is None:
             timeline.write_texts()
             return Findings(truth, True, reasons=curves)
-        replay = partial(self._replay, result.labels)
-        state, tracked = timeline.draw(replay, self._members, np.array(self._positions), boxes)
+        repeat = partial(self._repeat, result.labels)
+        state, tracked = timeline.draw(repeat, self._members, np.array(self._positions), boxes)
         return Findings(truth, True, tracked, state, curves)
 
     def _members(self, case: cases.ShownCase, rows: I64) -> Bool:
@@ -275,7 +275,7 @@ class Recorder(Listener):
             case.failure, scan, rows if self._rows is None else self._rows(scan)[rows]
         )
 
-    def _replay(
+    def _repeat(
         self, labels: Sequence[Bool], asked: Sequence[tuple[int, Sequence[int]]]
     ) -> list[tuple[PointLedger, ...]]:
         """The ledgers of points with these labels; none if the evidence is faulty.
@@ -289,8 +289,9 @@ class Recorder(Listener):
                 (frame, self._rows(scans[frame])[list(rows)].tolist()) for frame, rows in asked
             ]
         try:
-            found, seconds = replay(self._run, self._summary, asked)
-            for each in (each for ledgers in found for each in ledgers):
+            run = dataclasses.replace(self._run, summary=self._summary)
+            repeated = repeat(run, asked)
+            for each in (each for ledgers in repeated.ledgers for each in ledgers):
                 if each.removed != labels[each.frame][each.point]:
                     name = self._info.name
                     raise PluginError(
@@ -300,13 +301,15 @@ class Recorder(Listener):
         except PluginError as error:
             self._say(f"no evidence: {error}")
             return [()] * len(asked)
-        self._open.properties(repeat_s=round(seconds, 3))
+        self._open.properties(repeat_s=round(repeated.seconds, 3))
         return [
             tuple(
                 dataclasses.replace(each, point=row, case=case)
                 for each, row in zip(ledgers, rows, strict=True)
             )
-            for case, (ledgers, (_, rows)) in enumerate(zip(found, recorded, strict=True), 1)
+            for case, (ledgers, (_, rows)) in enumerate(
+                zip(repeated.ledgers, recorded, strict=True), 1
+            )
         ]
 
     @property

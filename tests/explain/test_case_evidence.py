@@ -16,10 +16,10 @@ import dynaviz as dv
 from dynaviz.contracts import registry
 from dynaviz.contracts.evidence import TESTS
 from dynaviz.contracts.method import Cause
-from dynaviz.engine.case_evidence import decided_by, evidence_of, evidence_text, flip
-from dynaviz.engine.point_ledger import PointLedger, TermValue
-from dynaviz.explorer.strip import strip, what_if
-from dynaviz.runs.explanation import cause_at
+from dynaviz.explain.case_evidence import decided_by, evidence_of, evidence_text, flip
+from dynaviz.explain.document import cause_at
+from dynaviz.explain.point_ledger import PointLedger, TermValue
+from dynaviz.explain.strip import strip, what_if
 from dynaviz.spatial.surface import GRAZING
 from dynaviz.views.read.reader import RunRecording
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U8, Intp
 from dynaviz.colours import CROSSED, GRAZED, HIT
-from dynaviz.engine.point_ledger import LedgerEntry, PointLedger
+from dynaviz.explain.point_ledger import LedgerEntry, PointLedger
 from dynaviz.scores.spans import Spans, spans_of
 from dynaviz.spatial.surface import GRAZING
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynaviz.contracts.scan import Scan
-from dynaviz.engine.ray_geometry import Touching
+from dynaviz.explain.ray_geometry import Touching
 
 
 @pytest.mark.parametrize("moving", [False, True])

@@ -18,10 +18,10 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
 from dynaviz.contracts.scan import Scan
-from dynaviz.engine.ledger import Ledger
 from dynaviz.engine.loop import RunSpec, execute
-from dynaviz.engine.replay import replay
 from dynaviz.errors import DataError, PluginError, UsageError
+from dynaviz.explain.ledger import Ledger
+from dynaviz.explain.repeat import repeat
 from dynaviz.runs.explanation import explain, why
 from dynaviz.scores.result import Result
 from dynaviz.sources.summary import summarize
@@ -183,9 +183,11 @@ def test_replaying_only_what_the_points_need_gives_the_ledgers_of_a_whole_run(na
     whole = Ledger(asked)
     run = RunSpec(method(method.Params()), scans, method.Params())
     execute(run, [whole])
-    found, seconds = replay(run, summarize(scans), list(asked.items()))
-    assert found == [whole.ledgers[2], whole.ledgers[5]]
-    assert seconds > 0
+    found = repeat(replace(run, summary=summarize(scans)), list(asked.items()))
+    assert found.ledgers == [whole.ledgers[2], whole.ledgers[5]]
+    assert found.seconds > 0
+    assert found.labels_sha256 is None
+    assert repeat(run, list(asked.items()), whole=True).ledgers == found.ledgers
 
 
 @pytest.mark.parametrize(

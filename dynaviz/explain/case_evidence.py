@@ -11,11 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from dynaviz.engine.point_ledger import LedgerEntry, PointLedger, RuleValue, TermValue
+from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, RuleValue, TermValue
+from dynaviz.explain.words import number, words, yes_or_no
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.spatial.surface import GRAZING
-
-BOUNDS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +131,11 @@ def flip(ledger: PointLedger) -> str:
         return ""
     term = changing[0]
     value = changing[0].value
-    if value is None or _yes_or_no(term):
+    if value is None or yes_or_no(term):
         return ""
     gap = abs(value - term.threshold)
     unit = f" {term.unit}" if term.unit else ""
-    text = f"The threshold is {_number(gap)}{unit} away"
+    text = f"The threshold is {number(gap)}{unit} away"
     scans = _scans_to_flip(ledger, term, gap)
     if scans is None:
         return f"{text}."
@@ -215,29 +214,8 @@ def _median(ledgers: Sequence[PointLedger], counts: Callable[[LedgerEntry], bool
 def _decided(deciding: Deciding, points: int, removed: bool) -> str:
     share = "" if deciding.points == points else f" for {deciding.points:,} of them"
     head = f"Removed{share}" if removed else f"Not removed{share}"
-    return f"{head}, because {' and '.join(map(_term, deciding.terms))}."
-
-
-def _term(term: TermValue) -> str:
-    """A comparison in words, such as ``log-odds is 3.5, not below 0``."""
-    if _yes_or_no(term):
-        return f"{term.name}: {'yes' if term.value else 'no'}"
-    if term.value is None or not math.isfinite(term.value):
-        return f"{term.name} is unknown"
-    if math.isnan(term.threshold):
-        return f"{term.name} has nothing to compare with"
-    unit = f" {term.unit}" if term.unit else ""
-    bound = f"{'' if term.holds else 'not '}{BOUNDS[term.test]} {_number(term.threshold)}{unit}"
-    return f"{term.name} is {_number(term.value)}, {bound}"
-
-
-def _yes_or_no(term: TermValue) -> bool:
-    return term.threshold == 1 and term.test in ("<", ">=") and term.value in (0, 1)
+    return f"{head}, because {' and '.join(map(words, deciding.terms))}."
 
 
 def _scans(count: float) -> str:
     return f"{count:g} scan{'s' * (count != 1)}"
-
-
-def _number(value: float) -> str:
-    return f"{value:,.0f}" if value == int(value) else f"{value:.3g}"

@@ -8,8 +8,8 @@ import pytest
 from dynaviz import kernels
 from dynaviz.colours import CROSSED, GRAZED, HIT
 from dynaviz.contracts.method import Reason
-from dynaviz.engine.point_ledger import LedgerEntry, PointLedger
-from dynaviz.views.witnesses import rays_of
+from dynaviz.explain.point_ledger import LedgerEntry, PointLedger
+from dynaviz.explain.rays import rays_of
 
 pytestmark = pytest.mark.plain
 

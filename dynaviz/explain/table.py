@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
-from dynaviz.engine.point_ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue, TermValue
+from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, QuantityInfo
+from dynaviz.explain.words import number, rule_words
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -120,7 +120,7 @@ def _cell(entry: LedgerEntry, quantity: QuantityInfo) -> str:
         return ""
     if quantity.legend:
         return quantity.legend[int(value)]
-    return _number(value) + (f" ({'+' if change > 0 else ''}{_number(change)})" if change else "")
+    return number(value) + (f" ({'+' if change > 0 else ''}{number(change)})" if change else "")
 
 
 def _rules(ledger: PointLedger) -> Table:
@@ -133,38 +133,7 @@ def _rules(ledger: PointLedger) -> Table:
     for rule in ledger.rules:
         table.add_row(
             "yes" if rule.holds else "no ",
-            Text(", ".join(_words(rule))),
+            Text(rule_words(rule)),
             style=None if rule.holds else "dim",
         )
     return table
-
-
-def _words(rule: RuleValue) -> Iterator[str]:
-    """The rule's name with its terms."""
-    scan = f" (frame {rule.frame})" if rule.frame is not None else ""
-    if all(term.value is None for term in rule.terms):
-        yield f"{rule.name}: does not apply"
-        return
-    first, *others = (_term(term) for term in rule.terms)
-    yield f"{rule.name}{scan}: {first}"
-    yield from others
-
-
-def _term(term: TermValue) -> str:
-    """The comparison, with enough digits to see which side is larger."""
-    if term.value is None:
-        return f"{term.name} unknown (fails)"
-    digits = next((n for n in (3, 6) if f"{term.value:.{n}f}" != f"{term.threshold:.{n}f}"), 3)
-    unit = f" {term.unit}" if term.unit else ""
-    failed = "" if term.holds else " (fails)"
-    return (
-        f"{term.name} {_number(term.value, digits)} {term.test} "
-        f"{_number(term.threshold, digits)}{unit}{failed}"
-    )
-
-
-def _number(value: float, digits: int = 3) -> str:
-    """Whole numbers without a point."""
-    return (
-        f"{value:,.0f}" if math.isfinite(value) and value == int(value) else f"{value:.{digits}f}"
-    )

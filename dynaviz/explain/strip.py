@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence, Set
 from statistics import median
 from typing import Any
 
-from dynaviz.engine.case_evidence import BOUNDS, decided_by
-from dynaviz.engine.point_ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue
+from dynaviz.explain.case_evidence import decided_by
+from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue
+from dynaviz.explain.words import BOUNDS
 
 
 def strip(ledgers: Sequence[PointLedger]) -> dict[str, Any]:

@@ -27,9 +27,15 @@ from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.engine.loop import Listener, RunSpec
-from dynaviz.engine.point_ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue, TermValue
-from dynaviz.engine.ray_geometry import Touching, touching
 from dynaviz.errors import PluginError, UsageError
+from dynaviz.explain.point_ledger import (
+    LedgerEntry,
+    PointLedger,
+    QuantityInfo,
+    RuleValue,
+    TermValue,
+)
+from dynaviz.explain.ray_geometry import Touching, touching
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.surface import surface_normals
 

@@ -1,0 +1,116 @@
+"""The document that says why a point got its label.
+
+Commands, recordings, the explorer and reports read it and add nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from dynaviz.contracts.method import Reason
+from dynaviz.explain.case_evidence import evidence_of, flip
+from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.explain.words import rule_words
+from dynaviz.scores.failure_case import case_at
+from dynaviz.scores.result import Result
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+
+@dataclass(frozen=True, slots=True)
+class Why:
+    """Why a point got its label; printing it shows the ledger.
+
+    Attributes:
+        method, title: of the run.
+        sequence: name of the sequence.
+        online: whether labels were decided right after each scan.
+        ledger: the scans that touched the point, what each contributed, and the rules that decided.
+        cause: of the failure case that contains the point; None if no listed case does, or the
+            label is right.
+        note: what the ledger cannot show; empty if nothing.
+    """
+
+    method: str
+    title: str
+    sequence: str
+    online: bool
+    ledger: PointLedger
+    cause: str | None = None
+    note: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """Truth, label and reason in a sentence."""
+        found = self.ledger
+        return sentence(
+            found.truth, "removed" if found.removed else "kept", found.reason, self.cause
+        )
+
+    @property
+    def evidence(self) -> str:
+        """The rays that touched the cell around the point, what decided, and what would change the
+        label.
+        """
+        return f"{evidence_of([self.ledger]).text} {flip(self.ledger)}".strip()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything in plain types that JSON knows; numbers that are not finite become None."""
+        plain: dict[str, Any] = _plain(
+            {**dataclasses.asdict(self), "sentence": self.sentence, "evidence": self.evidence}
+        )
+        for rule, shown in zip(self.ledger.rules, plain["ledger"]["rules"], strict=True):
+            shown["text"] = rule_words(rule)
+        return plain
+
+    def __rich__(self) -> RenderableType:
+        from dynaviz.explain.table import ledger_table
+
+        place = " ".join(f"{x:.2f}" for x in self.ledger.position)
+        where = f"point {self.ledger.point} of frame {self.ledger.frame}, at ({place}) m"
+        head = f"{self.title} on {self.sequence}: {where}", self.sentence, self.evidence, self.note
+        return ledger_table(self.ledger, [line for line in head if line])
+
+
+def sentence(truth: str | None, answer: str, reason: Reason, cause: str | None) -> str:
+    """The label of a point in a sentence.
+
+    Args:
+        truth: ``static``, ``dynamic`` or None.
+        answer: ``removed`` or ``kept``; without ground truth also what the point did, as
+            ``appeared``.
+        reason: why it got the label.
+        cause: of the failure case that contains it, if any.
+    """
+    meaning = reason.meaning.partition(": ")[2] or reason.meaning
+    if truth is None:
+        return f"{answer.capitalize()} (no ground truth): {meaning}."
+    if (answer == "removed") == (truth == "dynamic"):
+        return f"Right: {truth}, and {answer}: {meaning}."
+    return f"Wrong: {truth}, but {answer}: {meaning}.{f' Cause: {cause}.' if cause else ''}"
+
+
+def cause_at(result: Result, ledger: PointLedger) -> str | None:
+    """The cause of the failure case that contains a point.
+
+    None if no listed case does, or the label is right.
+    """
+    if not ledger.wrong:
+        return None
+    if ledger.case is not None:
+        return result.failures[ledger.case - 1].cause
+    kind = "false_positive" if ledger.removed else "false_negative"
+    case = case_at(result.failures, kind, ledger.frame, ledger.position)
+    return None if case is None else case.cause
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
