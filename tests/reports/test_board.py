@@ -186,10 +186,20 @@ def test_published_figures_are_never_mixed_with_measured_ones(tmp_path: Path) ->
         "here, same protocol [%]",
     ]
     published = {row[k] for row in rows.values() for k in range(1, 5)}
-    elsewhere = {name: table for name, table in page.tables.items() if name != "published-1"}
+    elsewhere = {name: table for name, table in page.tables.items() if "published" not in name}
     assert not published & {
         cell["text"] for table in elsewhere.values() for row in table for cell in row
     }
+
+
+def test_published_scores_under_a_protocol_stand_beside_own_ones(tmp_path: Path) -> None:
+    study = made_study(tmp_path, result("erasor", KITTI), erasor={"F1": 61.5, "PR": 50, "RR": 80})
+    page = Page(registry.load("reports", "html")(study))
+    rows = {
+        row[0]["text"]: [cell["text"] for cell in row] for row in page.body("published-protocols-1")
+    }
+    assert rows["ERASOR"][3:9] == ["95.50", "93.98", "97.08", "61.50", "50.00", "80.00"]
+    assert rows["ERASOR2"][6:9] == ["–"] * 3
 
 
 @pytest.mark.slow

@@ -1,20 +1,43 @@
-"""Published numbers to compare with: one TOML file per sequence, and one of runtimes.
+"""Published numbers to compare with, copied from their sources, not computed here.
 
-Copied from their sources, not computed here. The benchmark scores by nearest neighbour (``nn``,
-eval/README.md), so compared with ``mask`` scores they are only a rough guide.
+A TOML file per sequence has scores under the public benchmark's protocol, ``by_protocol.toml``
+those under all other protocols, and ``runtime.toml`` seconds. The benchmark scores by nearest
+neighbour (``nn``, eval/README.md), so compared with ``mask`` scores they are only a rough guide.
 """
 
 from __future__ import annotations
 
+import fnmatch
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import Any, Literal
 
 from dynaviz.scores.scores import associated_accuracy, harmonic_mean
 from dynaviz.scores.sections import SequenceInfo
+
+_SCORES = ("F1", "PR", "RR", "IoU")
+_OTHERS = ("runtime", "by_protocol")  # files that are not of one sequence
+Read = Literal["paper", "repository", "secondary"]
+READ = {
+    "paper": "read in the paper",
+    "repository": "read in the authors' repository, package or page",
+    "secondary": "transcribed by others",
+}
+"""In words, where numbers were read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where numbers come from: the publication, and where they were read."""
+
+    text: str
+    read: Read
+
+    def __str__(self) -> str:
+        return f"{self.text} ({READ[self.read]})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +49,7 @@ class Published:
         title: the name in the source.
         SA, DA, AA, HA: AA and HA are computed from SA and DA if the source does not print them.
         online: whether each scan was labelled right after it was added.
-        source: the publication.
+        source: the publication, and where it was read.
     """
 
     method: str
@@ -36,7 +59,32 @@ class Published:
     AA: float
     HA: float
     online: bool
-    source: str
+    source: Source
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedScores:
+    """A row of a published table under a protocol, in percent, as printed.
+
+    Attributes:
+        protocol: its name in dynaviz.
+        sequence: key of the sequence.
+        where: the sequence in words.
+        method: the name of the method in dynaviz, if it has one.
+        title: the name in the source.
+        scores: by name, as ``dynaviz.contracts.protocol.ProtocolInfo`` lists them.
+        learned: whether the method was trained on labels.
+        source: the publication, and where it was read.
+    """
+
+    protocol: str
+    sequence: str
+    where: str
+    method: str
+    title: str
+    scores: Mapping[str, float]
+    learned: bool
+    source: Source
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +97,7 @@ class PublishedRuntime:
     mean_s: float
     std_s: float
     n_parameters: int | None
-    source: str
+    source: Source
 
 
 def published_sequences() -> list[str]:
@@ -58,7 +106,7 @@ def published_sequences() -> list[str]:
     return sorted(
         name.removesuffix(".toml")
         for name in files
-        if name.endswith(".toml") and name != "runtime.toml"
+        if name.endswith(".toml") and name.removesuffix(".toml") not in _OTHERS
     )
 
 
@@ -76,9 +124,42 @@ def published(sequence: str) -> tuple[Published, ...]:
             AA=row.get("AA", float(associated_accuracy(row["SA"], row["DA"]))),
             HA=row.get("HA", float(harmonic_mean(row["SA"], row["DA"]))),
             online=row.get("online", False),
-            source=content["sources"][row["source"]],
+            source=_source(content, row),
         )
         for row in content["results"]
+    )
+
+
+def published_by_protocol(name: str | None = None) -> tuple[PublishedScores, ...]:
+    """Published scores under protocols other than the public benchmark's.
+
+    Args:
+        name: of a sequence of dynaviz, such as ``semantickitti_00`` or ``doals_station_1``: only
+            rows of this sequence; None for all rows.
+    """
+    content = _load("by_protocol")
+    own = content["sequences"]
+    titles = {key: facts["title"] for key, facts in own.items()}
+    names = {key: facts["names"] for key, facts in own.items()}
+    for key in published_sequences():
+        names[key] = _load(key)["sequence"]["names"]
+    rows = (
+        row
+        for row in content["results"]
+        if name is None or any(fnmatch.fnmatchcase(name, each) for each in names[row["sequence"]])
+    )
+    return tuple(
+        PublishedScores(
+            protocol=row["protocol"],
+            sequence=row["sequence"],
+            where=titles.get(row["sequence"], row["sequence"]),
+            method=row["method"],
+            title=row["title"],
+            scores={score: row[score] for score in _SCORES if score in row},
+            learned=row.get("learned", False),
+            source=_source(content, row),
+        )
+        for row in rows
     )
 
 
@@ -147,10 +228,14 @@ def published_runtimes() -> tuple[PublishedRuntime, ...]:
             mean_s=row["mean_s"],
             std_s=row["std_s"],
             n_parameters=row.get("n_parameters"),
-            source=content["sources"][row["source"]],
+            source=_source(content, row),
         )
         for row in content["results"]
     )
+
+
+def _source(content: Mapping[str, Any], row: Mapping[str, Any]) -> Source:
+    return Source(**content["sources"][row["source"]])
 
 
 @cache

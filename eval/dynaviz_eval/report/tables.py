@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from dynaviz.reports.reporting import Study
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import SCORES
-from dynaviz_eval.protocols.points import PublicBenchmark
-from dynaviz_eval.published import Match, matching, published, published_runtimes
 from dynaviz_eval.report.boards import (
     ERRORS,
     KINDS,
@@ -31,6 +29,7 @@ from dynaviz_eval.report.boards import (
 from dynaviz_eval.report.by_protocol import ByProtocol, protocol_table
 from dynaviz_eval.report.errors import cause_table, interval_table, removal_table
 from dynaviz_eval.report.objects import object_table
+from dynaviz_eval.report.published_tables import benchmark_table, protocols_table
 from dynaviz_eval.report.spots import SharedCase, case_table, shared_cases
 from dynaviz_eval.report.table import (
     ABSENT,
@@ -53,7 +52,8 @@ class BoardTables:
 
     Attributes:
         main, scores: the main score under each protocol, and all scores.
-        published: published numbers next to the board's own.
+        published: published numbers of the public benchmark next to the board's own;
+            published_protocols: those under other protocols.
         removals: removed points of runs without ground truth.
         cases: the places at which methods fail; ``case_list``: the same as a table.
         objects: what became of each object.
@@ -63,6 +63,7 @@ class BoardTables:
     main: Table
     scores: Table
     published: Table | None
+    published_protocols: Table | None
     removals: Table
     cases: Sequence[SharedCase]
     case_list: Table
@@ -73,10 +74,10 @@ class BoardTables:
     @property
     def every(self) -> list[Table]:
         """All tables with rows, in the order of a report."""
-        first = (self.main, self.scores, self.published, self.removals, self.case_list)
+        first = (self.main, self.scores, self.published, self.published_protocols, self.removals)
         return [
             table
-            for table in (*first, self.objects, self.range, self.height)
+            for table in (*first, self.case_list, self.objects, self.range, self.height)
             if table and table.rows
         ]
 
@@ -155,7 +156,8 @@ def _of_board(scores: ByProtocol, board: ScoreBoard, number: int) -> BoardTables
     return BoardTables(
         scores.main_scores(board, number),
         scores.all_scores(board, number),
-        _public(scores, board, number),
+        benchmark_table(scores, board, number),
+        protocols_table(scores, board, number),
         removal_table(board, number),
         cases,
         case_table(board, cases, number),
@@ -360,82 +362,6 @@ def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Ta
 def _where(result: Result) -> str:
     """The setting of a runtime; empty without a runtime."""
     return "" if result.runtime.mean_s is None else setting(result)
-
-
-def match(board: ScoreBoard) -> Match | None:
-    """The public sequence that the board's sequence may be."""
-    breakdown = board.rows[0].result.sections.breakdown
-    return matching(board.sequence, [row.index for row in breakdown.frame] if breakdown else [])
-
-
-def _public(scores: ByProtocol, board: ScoreBoard, number: int) -> Table | None:
-    """Published numbers next to the board's own, which are counted as the public benchmark does if
-    they can be.
-    """
-    known = match(board)
-    if known is None:
-        return None
-    same = PublicBenchmark.info in scores.infos
-    here = "here, same protocol [%]" if same else f"here, {board.scoring} [%]"
-    columns = [Column("method", number=False)]
-    columns += [Column(name, "published [%]", main=name == "AA") for name in SCORES]
-    columns += [Column(name, here, main=name == "AA") for name in SCORES]
-    columns += [Column("seconds per frame", "published"), Column("source")]
-    rows = []
-    sources = list(dict.fromkeys(row.source for row in published(known.name)))
-    speeds = {speed.method: speed for speed in published_runtimes() if speed.sequence == known.name}
-    for row in published(known.name):
-        ours = next(
-            (
-                r
-                for r in board.rows
-                if r.result.method == row.method and r.result.online == row.online
-            ),
-            None,
-        )
-        values = [Value(ABSENT)] * len(SCORES)
-        if ours:
-            mine = (
-                scores.score(ours, PublicBenchmark.info, name) if same else ours.score(name)
-                for name in SCORES
-            )
-            values = [*map(percent, mine)]
-        theirs = [percent(getattr(row, name)) for name in SCORES]
-        speed = speeds.get(row.method)
-        took = (
-            Value(f"{speed.mean_s:.3f} ± {speed.std_s:.3f}", speed.mean_s)
-            if speed and not row.online
-            else Value(ABSENT)
-        )
-        rows.append(
-            [named(row.title), *theirs, *values, took, count(sources.index(row.source) + 1)]
-        )
-    notes = [
-        known.doubt + ("" if known.same else " The published numbers are for different points."),
-        "Published scores were copied from their sources and enter no other table or rank. Poses "
-        "and parameters may "
-        "differ. Published seconds: Intel i9-12900KF.",
-    ]
-    if not same:
-        notes.append(
-            "Published scores were computed by nearest neighbour (nn, 0.05 m) from maps written by "
-            "other programs; "
-            "compared with mask scores, they are only a rough guide."
-        )
-    notes.append(
-        "Sources: "
-        + "; ".join(f"{number} {source}" for number, source in enumerate(sources, 1))
-        + "."
-    )
-    if any(sum(r.result.method == row.result.method for r in board.rows) > 1 for row in board.rows):
-        notes.append("Of several variants of a method, the one with the best AA is shown.")
-    return Table(
-        f"published-{number}",
-        f"Published scores of {known.name}, and {board.title}",
-        columns,
-        rows,
-        notes,
-    )
 
 
 def failed_table(study: Study) -> Table:
