@@ -21,11 +21,11 @@ from dynaviz.diagnosis.sampling import looks as looks_at_places
 from dynaviz.diagnosis.sampling import sampling
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import FACTORS, check_units
-from dynaviz.diagnosis.views import ScanView, comparable
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.in_memory import ArraySequence
+from dynaviz.sources.hypotheses.views import ScanView, comparable
 from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 

@@ -22,8 +22,8 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.diagnosis.finding import Confidence, Finding
-from dynaviz.diagnosis.trajectory import FAULTS, MAX_TILT, Pose, facing, tilt_of
-from dynaviz.diagnosis.views import ScanView, ground_below, hidden
+from dynaviz.diagnosis.trajectory import FAULTS, MAX_TILT, facing, tilt_of
+from dynaviz.sources.hypotheses.views import Pose, ScanView, ground_below, hidden
 from dynaviz.spatial import geometry
 from dynaviz.spatial.sensor_height import FLAT
 

@@ -19,8 +19,7 @@ from dynaviz.arrays import F64
 from dynaviz.diagnosis.alignment import GAIN
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding
 from dynaviz.diagnosis.placement import register
-from dynaviz.diagnosis.trajectory import angle
-from dynaviz.diagnosis.views import ON_SURFACE, ScanView
+from dynaviz.sources.hypotheses.views import ON_SURFACE, ScanView, angle
 from dynaviz.spatial import geometry
 
 DRIFT = "poses drift"  # name of the finding

@@ -10,8 +10,8 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.diagnosis.drift import AWAY, SEEN_AGAIN, Drift
-from dynaviz.diagnosis.views import ScanView, comparable
 from dynaviz.errors import DataError
+from dynaviz.sources.hypotheses.views import ScanView, comparable
 
 PLACES = 6  # at which a scan of each drive is compared
 COARSE = 48  # scans of each drive among which places are looked for first

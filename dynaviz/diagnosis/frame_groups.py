@@ -12,9 +12,9 @@ import numpy as np
 from dynaviz.contracts.scan import Scan, Sequence, SequenceView
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import LONG_STEPS
-from dynaviz.diagnosis.views import MAX_APART, ScanView, apart, around, comparable
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress
+from dynaviz.sources.hypotheses.views import MAX_APART, ScanView, apart, around, comparable
 
 GROUPS = 6  # of frames, spread over the sequence; a pair of each is compared
 STEPS = (1, 2, 5, 10, 20, MAX_APART)  # frames after the first of a group, until the sensor is apart

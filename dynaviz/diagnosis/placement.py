@@ -9,7 +9,7 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.diagnosis.alignment import CLEAR_GAIN, LESS_HIDDEN, Pairs, hides_less
 from dynaviz.diagnosis.finding import Confidence
-from dynaviz.diagnosis.views import ScanView, Surface, hidden
+from dynaviz.sources.hypotheses.views import ScanView, Surface, hidden
 from dynaviz.spatial import geometry
 
 FEW = 8_000  # points by which candidates are ranked

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import permutations
@@ -11,14 +11,13 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding
+from dynaviz.sources.hypotheses.views import Pose, angle
 from dynaviz.spatial import geometry
 
 # Camera axes (x right, y down, z forward) in the lidar frame (x forward, y left, z up).
 T_LIDAR_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 MAX_TILT = 45.0  # degrees between the sensor's z axis and the world's
-
-Pose = Callable[[F64], F64]
 
 
 def swapped(T: F64, order: tuple[int, ...]) -> F64:
@@ -179,8 +178,3 @@ def facing(T: F64) -> float:
         return 0.0
     moving &= lengths <= 5 * np.median(lengths[moving])
     return float(np.median((steps[moving] * T[:-1, :3, 0][moving]).sum(1) / lengths[moving]))
-
-
-def angle(T: F64) -> float:
-    """Rotation angle of a pose, degrees."""
-    return float(np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))

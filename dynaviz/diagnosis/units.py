@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.finding import Confidence, Finding
-from dynaviz.diagnosis.views import ScanView, comparable, hidden, pairs
+from dynaviz.sources.hypotheses.views import ScanView, comparable, hidden, pairs
 
 FAR_POINTS = 250.0  # metres; scans whose median range is larger may have another unit
 LONG_STEPS = 20.0  # metres; median way between two frames

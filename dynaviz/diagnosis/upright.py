@@ -13,7 +13,7 @@ from dynaviz.arrays import F64
 from dynaviz.diagnosis.alignment import Pairs
 from dynaviz.diagnosis.finding import Confidence, Finding, settable
 from dynaviz.diagnosis.trajectory import CAMERA, FAULTS, MAX_TILT, W_LAST, backwards, tilt_of
-from dynaviz.diagnosis.views import ScanView, ground_below, to_z
+from dynaviz.sources.hypotheses.views import ScanView, ground_below, to_z
 from dynaviz.spatial.sensor_height import FLAT
 
 UPRIGHT = 20.0  # degrees of tilt that are left after a correction, at most

@@ -1,14 +1,17 @@
 """Read poses: KITTI (12 numbers per line), TUM (time, position, quaternion), CSV with a header, PCD
-of LIO-SAM.
+of LIO-SAM, graphs of g2o, Boreas.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +24,7 @@ from dynaviz.spatial import geometry
 
 _FORMATS = (
     "Write 12 numbers per line (KITTI, 3x4 matrix), 8 (TUM, time x y z qx qy qz qw) or 16 (4x4 "
-    "matrix), "
+    "matrix), 7 (position and quaternion) or 13 (index and 3x4 matrix), "
     "or CSV with a header: stamp or index, and x y z qx qy qz qw or T00 ... T33; or PCD with x y z "
     "roll pitch yaw time"
 )
@@ -46,6 +49,38 @@ _UNIT_NAMES = (
     (11, "milliseconds"),
     (0, "seconds"),
 )
+_RANKS = (
+    (
+        "optimized_poses.txt",
+        "optimized_pose.txt",
+        "optimized_poses.tum",
+        "poses_optimized.*",
+        "*_optimized.txt",
+        "optimized_trajectory.*",
+    ),
+    (
+        "*.tum",
+        "poses.txt",
+        "poses.csv",
+        "pose.txt",
+        "pose.csv",
+        "pose.json",
+        "poses.json",
+        "trajectory.txt",
+        "trajectory.csv",
+        "traj.txt",
+        "traj.csv",
+        "groundtruth.txt",
+        "transformations.pcd",
+        "alidarPose.csv",
+        "cam0_to_world.txt",
+        "lidar_poses.csv",
+        "applanix/lidar_poses.csv",
+    ),
+    ("odom_poses.txt", "odometry_poses.txt", "odom.txt", "odometry.txt", "*.g2o"),
+)  # of names of pose files, the better ones first
+_TEXTS = (".txt", ".csv", ".json", ".tum", ".g2o", ".dat", ".log", ".traj")
+_LARGEST_FILE = 100_000_000  # bytes
 _LIMIT = 1 << 63  # nanoseconds since 1970, in the year 2262
 _LARGEST_NUMBER = 1 << 53  # whole numbers up to here are exact in float64
 _TIME_HINT = (
@@ -54,17 +89,22 @@ _TIME_HINT = (
 )
 
 
+Rows = list[tuple[int, list[str]]]
+
+
 @dataclass(frozen=True, eq=False)
 class PoseFile:
     """The poses of a file, in file order.
 
     Attributes:
         path: the file.
-        kind: ``KITTI``, ``TUM``, ``4x4``, ``CSV`` or ``PCD``.
+        kind: ``KITTI``, ``TUM``, ``4x4``, ``CSV``, ``PCD`` ...
         poses: (K, 4, 4) float64, metres.
         stamps: (K,) int64, nanoseconds; None if the file has none.
         numbers: (K,) int64, scan number of each pose; None if the file has none.
         lidar: (K,) int64, number of the lidar of each pose; None if the file has none.
+        readings: (K, 4, 4) by name, if the file does not say what its numbers mean; ``poses`` is
+            the first of them.
     """
 
     path: Path
@@ -73,6 +113,7 @@ class PoseFile:
     stamps: I64 | None = None
     numbers: I64 | None = None
     lidar: I64 | None = None
+    readings: Mapping[str, F64] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -101,16 +142,55 @@ def read_poses(path: str | os.PathLike[str]) -> PoseFile:
         lines = [(n, line.decode("latin-1").strip()) for n, line in enumerate(file, 1)]
     lines = [(n, line) for n, line in lines if line]
     first = lines[0][1] if lines else ""
+    if first[:1] in "[{" and first and (found := _json(path)) is not None:
+        return found
+    if first.startswith(("VERTEX", "EDGE", "FIX")):
+        return _graph(path, lines)
+    if re.search(r"[a-df-zA-DF-Z]", first) and not first.startswith("#"):
+        separator = "," if "," in first else None
+        return _csv(path, first, lines[1:], separator)
+    titles = first.lstrip("# ")
     if "," in first and re.search(r"[a-df-zA-DF-Z]", first):
-        return _csv(path, first.lstrip("# "), lines[1:])
+        return _csv(path, titles, lines[1:], ",")
     rows = [(n, re.split(r"[\s,;]+", line)) for n, line in lines if not line.startswith("#")]
     if not rows:
         raise DataError(path, "contains no poses", hint=_FORMATS)
+    return _numbers_only(path, rows, _w_first(titles))
+
+
+def _w_first(titles: str) -> bool:
+    """Whether a comment that names the columns places qw before qx."""
+    words = re.split(r"[\s,;]+", titles.lower())
+    return "qw" in words and "qx" in words and words.index("qw") < words.index("qx")
+
+
+def _numbers_only(path: Path, rows: Rows, w_first: bool) -> PoseFile:
+    """Poses of a file without titles, by the number of its columns."""
     columns = len(rows[0][1])
     if columns == 8:
-        return PoseFile(path, "TUM", _quaternions(path, rows, range(1, 8)), _stamps(path, rows, 0))
+        order = _order(range(1, 8), w_first)
+        return PoseFile(path, "TUM", _quaternions(path, rows, order), _stamps(path, rows, 0))
+    if columns == 7:
+        readings = {
+            name: _quaternions(path, rows, _order(range(7), first))
+            for name, first in (("qx qy qz qw", False), ("qw qx qy qz", True))
+        }
+        if w_first:
+            readings = {"qw qx qy qz": readings["qw qx qy qz"]}
+        return PoseFile(
+            path, "position and quaternion", next(iter(readings.values())), readings=readings
+        )
     if columns in (12, 16):
         return PoseFile(path, "KITTI" if columns == 12 else "4x4", _matrices(path, rows, range(12)))
+    if columns in (13, 17):
+        poses = _matrices(path, rows, range(1, 13))
+        counted = all(word[0].lstrip("-").isdigit() and len(word[0]) < 10 for _, word in rows)
+        if counted:
+            return PoseFile(path, "index and matrix", poses, None, _numbers(path, rows, 0))
+        return PoseFile(path, "time and matrix", poses, _stamps(path, rows, 0))
+    if columns == 4 and len(rows) == 4 and _last_row(rows):
+        flat = [(rows[0][0], [word for _, words in rows for word in words])]
+        return PoseFile(path, "4x4", _matrices(path, flat, range(12)))
     raise DataError(
         path,
         f"unknown pose format with {columns} values per line",
@@ -119,35 +199,62 @@ def read_poses(path: str | os.PathLike[str]) -> PoseFile:
     )
 
 
+def _last_row(rows: Rows) -> bool:
+    """Whether the fourth line is that of a matrix, 0 0 0 1."""
+    try:
+        return [float(word) for word in rows[3][1]] == [0.0, 0.0, 0.0, 1.0]
+    except ValueError:
+        return False
+
+
+def _order(columns: range, w_first: bool) -> list[int]:
+    """The columns x y z qx qy qz qw, if they are in this order or have qw before qx."""
+    given = list(columns)
+    return [*given[:3], *given[4:], given[3]] if w_first else given
+
+
 def find_poses(folder: Path) -> Path | None:
     """The pose file of a folder, found by the usual names.
 
-    ``poses.*``, ``trajectory.*``, ..., or any ``*.tum``.
+    Poses of a SLAM system after loop closure, ``optimized_poses.txt`` and its kin, come first, then
+    ``poses.*``, ``trajectory.*``, ..., or any ``*.tum``, then those of its odometry.
 
     Raises:
-        DataError: if there are several.
+        DataError: if there are several of the same rank.
     """
-    usual = (
-        "poses.txt",
-        "poses.tum",
-        "poses.csv",
-        "pose.txt",
-        "pose.csv",
-        "trajectory.txt",
-        "trajectory.tum",
-        "trajectory.csv",
-        "traj.txt",
-        "traj.tum",
-        "traj.csv",
-        "groundtruth.txt",
-    )
-    found = sorted(
-        set(folder.glob("*.tum")) | {folder / name for name in usual if (folder / name).is_file()}
-    )
-    if len(found) > 1:
-        names = ", ".join(path.name for path in found)
-        raise DataError(folder, f"several pose files: {names}", hint="Choose one with --poses FILE")
-    return found[0] if found else None
+    for names in _RANKS:
+        found = {path for pattern in names for path in folder.glob(pattern) if path.is_file()}
+        if len(found) > 1:
+            shown = ", ".join(path.name for path in sorted(found))
+            raise DataError(
+                folder, f"several pose files: {shown}", hint="Choose one with --poses FILE"
+            )
+        if found:
+            return found.pop()
+    return None
+
+
+def pose_candidates(folder: Path, scans: int) -> list[Path]:
+    """Files beside scans that may be their poses: as many as scans, or with times or numbers.
+
+    Args:
+        folder: where to look.
+        scans: number of scans.
+    """
+    found = []
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if path.suffix.lower() not in _TEXTS or not path.is_file():
+            continue
+        if path.stat().st_size > _LARGEST_FILE:
+            continue
+        try:
+            poses = read_poses(path)
+        except (DataError, KeyError, ValueError):
+            continue
+        matched = poses.stamps is not None or poses.numbers is not None
+        if len(poses) > 1 and (len(poses) == scans or matched):
+            found.append(path)
+    return found
 
 
 def nanoseconds(text: str, scale: int | None = None) -> int:
@@ -180,9 +287,6 @@ def nanoseconds(text: str, scale: int | None = None) -> int:
     return stamp
 
 
-Rows = list[tuple[int, list[str]]]
-
-
 def _pcd(path: Path) -> PoseFile:
     """A point per pose, with roll, pitch and yaw in radians (about x, then y, then z) and time, as
     LIO-SAM writes.
@@ -208,12 +312,12 @@ def _pcd(path: Path) -> PoseFile:
     return PoseFile(path, "PCD", poses, None if times is None else _stamps(path, times, 0))
 
 
-def _csv(path: Path, header: str, lines: list[tuple[int, str]]) -> PoseFile:
+def _csv(path: Path, header: str, lines: list[tuple[int, str]], separator: str | None) -> PoseFile:
     """Find the columns by name, in any order; other columns are ignored."""
-    titles = [name.strip().strip("\"'").lower() for name in header.split(",")]
+    titles = [name.strip().strip("\"'").lower() for name in header.split(separator)]
     names = [re.sub(r"\s*[\[(].*", "", title) for title in titles]
     rows = [
-        (n, [word.strip() for word in line.split(",")])
+        (n, [word.strip() for word in line.split(separator)])
         for n, line in lines
         if not line.startswith("#")
     ]
@@ -235,6 +339,8 @@ def _csv(path: Path, header: str, lines: list[tuple[int, str]]) -> PoseFile:
         }
         return [found[key] for key in keys] if all(key in found for key in keys) else None
 
+    if {"easting", "northing", "altitude", "roll", "pitch", "heading"} <= set(names):
+        return _boreas(path, rows, names)
     position = columns(_POSITION, [*"xyz"])
     rotation = columns(_ROTATION, [*"xyzw"])
     matrix = columns(_ENTRY, [f"{row}{column}" for row in range(3) for column in range(4)])
@@ -255,6 +361,75 @@ def _csv(path: Path, header: str, lines: list[tuple[int, str]]) -> PoseFile:
     numbers = None if index is None else _numbers(path, rows, index)
     lidar = _numbers(path, rows, names.index("lidar")) if "lidar" in names else None
     return PoseFile(path, "CSV", poses, stamps, numbers, lidar)
+
+
+def _boreas(path: Path, rows: Rows, names: list[str]) -> PoseFile:
+    """Boreas: easting, northing and altitude in metres; roll, pitch and heading in radians.
+
+    The rotation from the sensor to the world is the product of the passive rotations about x by
+    roll, about y by pitch and about z by heading.
+    """
+    from scipy.spatial.transform import Rotation
+
+    wanted = ["easting", "northing", "altitude", "roll", "pitch", "heading"]
+    table = _floats(path, rows, [names.index(name) for name in wanted])
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, 3] = table[:, :3]
+    turns = Rotation.from_euler("xyz", table[:, 3:]).inv()
+    poses[:, :3, :3] = turns.as_matrix()
+    stamps = _stamps(path, rows, names.index("gpstime")) if "gpstime" in names else None
+    return PoseFile(path, "Boreas", poses, stamps)
+
+
+def _graph(path: Path, lines: list[tuple[int, str]]) -> PoseFile:
+    """The vertices of a graph of g2o, in the order of their numbers."""
+    rows = [(n, line.split()) for n, line in lines if line.startswith("VERTEX_SE3:QUAT")]
+    rows = [(n, words) for n, words in rows if len(words) >= 9]
+    if not rows:
+        raise DataError(path, "has no VERTEX_SE3:QUAT", hint=_FORMATS)
+    rows.sort(key=lambda row: int(row[1][1]) if row[1][1].isdigit() else 0)
+    poses = _quaternions(path, rows, range(2, 9))
+    numbers = _numbers(path, rows, 1)
+    return PoseFile(path, "g2o", poses, None, numbers)
+
+
+def _json(path: Path) -> PoseFile | None:
+    """Poses of a JSON file: a list of objects with position and rotation, or of matrices.
+
+    None if it is another file.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, UnicodeDecodeError):
+        return None
+    rows: Rows = []
+    kind = "matrix"
+    for n, each in enumerate(content if isinstance(content, list) else [], 1):
+        if isinstance(each, dict):
+            found = _json_pose(each)
+            kind = "quaternion"
+        else:
+            found = np.ravel(each).tolist() if isinstance(each, list) else None
+        if found is None:
+            return None
+        rows.append((n, [str(value) for value in found]))
+    if not rows or len(rows[0][1]) not in (7, 12, 16):
+        return None
+    if kind == "quaternion":
+        return PoseFile(path, "JSON", _quaternions(path, rows, range(7)))
+    return _numbers_only(path, rows, False)
+
+
+def _json_pose(each: dict[str, Any]) -> list[float] | None:
+    """X y z qx qy qz qw of an object such as ``{"position": {...}, "heading": {...}}``."""
+    place = next((each[k] for k in ("position", "translation", "t") if k in each), None)
+    turn = next((each[k] for k in ("heading", "rotation", "orientation", "q") if k in each), None)
+    if not isinstance(place, dict) or not isinstance(turn, dict):
+        return None
+    try:
+        return [*(float(place[k]) for k in "xyz"), *(float(turn[k]) for k in "xyzw")]
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def _floats(path: Path, rows: Rows, columns: range | list[int]) -> F64:

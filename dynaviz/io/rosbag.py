@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dynaviz.errors import DataError, DynavizError, MissingDependency
+from dynaviz.io.mcap import check_mcap
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _HINT = (
@@ -22,8 +23,8 @@ class Bag:
     """An open bag. Its files are closed when the object is garbage-collected.
 
     Args:
-        path: a .bag, .mcap or .db3 file, a folder with metadata.yaml, or a folder with the .bag
-            files of one drive.
+        path: a .bag, .mcap or .db3 file, a folder with metadata.yaml, or a folder with the .bag,
+            .mcap or .db3 files of one drive.
 
     Raises:
         DataError: if the bag is truncated or corrupt.
@@ -40,11 +41,13 @@ class Bag:
             ) from None
         self.path = path
         self._lock = threading.Lock()
+        for file in [path] if path.is_file() else _parts(path):
+            check_mcap(file)
         several = path.is_dir() and not (path / "metadata.yaml").exists()
         with self._errors():
             # ROS 2 bags before Jazzy do not store message definitions; the common ones are the same
             # in all releases.
-            files = sorted(path.glob("*.bag")) if several else [path]
+            files = _parts(path) if several else [path]
             self._reader = AnyReader(files, default_typestore=get_typestore(Stores.LATEST))
             self._reader.open()
         weakref.finalize(self, self._reader.close)
@@ -134,8 +137,14 @@ class Bag:
             raise DataError(self.path, f"truncated or corrupt bag ({reason})", hint=_HINT) from None
 
 
+def _parts(path: Path) -> list[Path]:
+    """The files of a drive that was split into several bags, of one kind, in order."""
+    kinds = (sorted(path.glob(f"*{suffix}")) for suffix in SUFFIXES)
+    return next((files for files in kinds if files), [])
+
+
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag, judged by file names only."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file() or next(path.glob("*.bag"), None) is not None
+        return (path / "metadata.yaml").is_file() or bool(_parts(path))
     return path.suffix.lower() in SUFFIXES and path.is_file()

@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dynaviz.arrays import F32, F64, I64
+from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.spatial import geometry
 
 FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "offset_ns")
@@ -28,6 +28,9 @@ _LONGEST = 2e9
 _SAME_CLOCK = (
     1e10  # largest difference of a sweep's stamp and its points' times on one clock, nanoseconds
 )
+# percentiles between which most times of a sweep lie, and how many times that span a sweep lasts
+_BULK = (10.0, 90.0)
+_STRAY = 2.5
 _LARGEST = 2.0**62  # nanoseconds; differences of such times fit into 64 bits
 
 
@@ -214,10 +217,34 @@ def unit_of(values: NDArray[Any]) -> float | None:
     values = values[np.isfinite(values)]
     if not len(values):
         return None
+    low, high = (
+        np.percentile(values.astype(np.float64), _BULK)
+        if len(values) > 20
+        else (values.min(), values.max())
+    )
     span = float(values.max() - values.min())
+    if span > _STRAY * float(high - low) > 0:
+        span = float(high - low)  # a few times are impossible
     return next(
         (unit for unit in (1e9, 1e6, 1e3, 1.0) if _SHORTEST < span * unit <= _LONGEST), None
     )
+
+
+def impossible(values: NDArray[Any]) -> Bool:
+    """(N,) bool: times that cannot be of this sweep, far from those of most of its points.
+
+    Args:
+        values: (N,) of any numeric type, as written by the driver.
+    """
+    exact = values.astype(np.float64)
+    known = np.isfinite(exact)
+    if known.sum() <= 20:
+        return ~known
+    low, middle, high = np.percentile(exact[known], (_BULK[0], 50.0, _BULK[1]))
+    reach = _STRAY * max(float(high - low), 0.0)
+    with np.errstate(invalid="ignore"):
+        stray = ~(np.abs(exact - middle) <= reach) if reach > 0 else ~known
+    return np.asarray(stray, np.bool_)
 
 
 def point_times(values: NDArray[Any], unit: float, stamp_ns: int) -> I64:
@@ -230,10 +257,12 @@ def point_times(values: NDArray[Any], unit: float, stamp_ns: int) -> I64:
         stamp_ns: stamp of the sweep, nanoseconds.
 
     Returns:
-        (N,) int64, nanoseconds, on the stamp's clock; values that are not times get the stamp.
+        (N,) int64, nanoseconds, on the stamp's clock; values that are not times of this sweep get
+        the stamp.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         finite = np.abs(values.astype(np.float64) * unit) < _LARGEST
+        finite &= ~impossible(values)
     if not finite.any():
         return np.full(len(values), stamp_ns, np.int64)
     first = values[finite].min()

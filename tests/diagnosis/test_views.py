@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz.diagnosis.views import around
+from dynaviz.sources.hypotheses.views import around
 
 
 @pytest.mark.parametrize(

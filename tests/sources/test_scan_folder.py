@@ -48,10 +48,10 @@ def test_every_format_of_scans(tmp_path: Path, suffix: str) -> None:
     assert isinstance(base_of(sequence), ScanFolderSequence)
     assert_equal(sequence)
     assert [sequence[k].index for k in range(N)] == list(range(N))
-    assert base_of(sequence).facts == {
-        "poses": "poses.txt (KITTI), by order",
-        "points in": "sensor frame",
-    }
+    facts = base_of(sequence).facts  # type: ignore[attr-defined]
+    assert facts["poses"] == "poses.txt (KITTI), by order"
+    assert facts["points in"] == "sensor frame"
+    assert facts["names"].startswith("frame numbers, 000000")
 
 
 @pytest.mark.parametrize("inner", ["", "clouds"])

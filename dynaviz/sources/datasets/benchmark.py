@@ -21,7 +21,7 @@ from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError, NoPoses
 from dynaviz.io.fields import columns_of, coordinates, without_axes
 from dynaviz.io.pcd import Pcd, read_header, read_pcd
-from dynaviz.io.poses import find_poses
+from dynaviz.io.poses import find_poses, pose_candidates
 from dynaviz.sources.datasets.files import has_files, numbered_files
 from dynaviz.sources.datasets.truth import GroundTruth
 from dynaviz.spatial import geometry
@@ -56,11 +56,25 @@ class BenchmarkSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path contains ``pcd/*.pcd``, or is that folder of scans and has
-        no pose file.
+        """Whether a path contains ``pcd/*.pcd``, or is that folder of scans.
+
+        Scans beside a pose file are not of this layout, nor are scans with other names than
+        numbers.
         """
-        is_scan_folder = any(file.stem.isdigit() for file in path.glob("*[0-9].pcd"))
-        return has_files(path / "pcd", "*.pcd") or (is_scan_folder and find_poses(path) is None)
+        folder = path / "pcd" if has_files(path / "pcd", "*.pcd") else path
+        files = sorted(folder.glob("*.pcd"))
+        if not files or (folder == path and not any(file.stem.isdigit() for file in files)):
+            return False
+        if (folder.parent / "gt_cloud.pcd").exists():
+            return True
+        root = folder.parent if folder.name == "pcd" else folder
+        if not all(file.stem.isdigit() for file in (files[0], files[-1])):
+            return False
+        if any(_has_poses(place) for place in (folder, root)):
+            return False
+        return _posed(files) or not any(
+            pose_candidates(place, len(files)) for place in (folder, root)
+        )
 
     @classmethod
     def open(cls, path: Path) -> Self:
@@ -160,6 +174,26 @@ class BenchmarkSequence:
             )
         mounts = np.array([mount[:3] for mount in self.sensor.mounts], np.float64)
         return geometry.apply(T_world_sensor, mounts)[lidar]
+
+
+def _has_poses(folder: Path) -> bool:
+    """Whether a folder has a pose file, or several among which somebody must choose."""
+    try:
+        return find_poses(folder) is not None
+    except DataError:
+        return True
+
+
+def _posed(files: list[Path]) -> bool:
+    """Whether a scan has a pose that is not the identity; damaged scans are reported later."""
+    for file in (files[0], files[len(files) // 2], files[-1]):
+        try:
+            viewpoint = read_header(file).viewpoint
+        except DataError:
+            return True
+        if viewpoint is None or not np.array_equal(viewpoint, [0, 0, 0, 1, 0, 0, 0]):
+            return True
+    return False
 
 
 def _validated_count(path: Path) -> int:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from dynaviz.arrays import F64, I64
 from dynaviz.contracts.attributes import far_origin
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.poses import PoseFile, read_poses
+from dynaviz.sources.hypotheses import clocks
+from dynaviz.sources.hypotheses.judge import Points, Reading, judge, near_zero
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import PosesOverTime, Trajectory
 
@@ -75,21 +78,27 @@ def moved(poses: F64, offset: F64) -> F64:
     return poses
 
 
-def match_poses(file: Path, scans: Path, stamps: I64 | None, numbers: I64) -> MatchedPoses:
+def match_poses(
+    file: Path, scans: Path, stamps: I64 | None, numbers: I64, points: Points | None = None
+) -> MatchedPoses:
     """Find the pose of each scan.
 
     Poses are interpolated by stamp if scans and poses have stamps. Otherwise they are matched by
     number if the poses have numbers, or else by order, which needs as many poses as scans. Scans
-    without a pose are skipped with a warning.
+    without a pose are skipped with a warning. If the file can be read in several ways, or its clock
+    is not that of the scans, each reading is tried on a few scans.
 
     Args:
         file: pose file.
         scans: path of the scans, for messages.
         stamps: (N,) int64, nanoseconds, of the scans; None if they have none.
         numbers: (N,) int64, of the scans.
+        points: reads the points of a scan in the sensor frame; None if they are in the world frame,
+            so that nothing can be tried.
 
     Raises:
-        DataError: if the poses cannot be read or match no scan.
+        DataError: if the poses cannot be read or match no scan, or if nobody can tell which reading
+            is right.
     """
     poses = read_poses(file)
     if (several := len(poses.lidars)) > 1:
@@ -98,19 +107,93 @@ def match_poses(file: Path, scans: Path, stamps: I64 | None, numbers: I64) -> Ma
             f"has the poses of {several} lidars",
             hint="Give those of one, or the merged map of all",
         )
+    turns = {
+        name: _matched(replace(poses, poses=each), scans, stamps, numbers, points)
+        for name, each in poses.readings.items()
+    }
+    if not turns:
+        return _matched(poses, scans, stamps, numbers, points)
+    if points is None or len(turns) == 1:
+        return next(iter(turns.values()))
+    name, figures = _tried(file, turns, points, "the order of its quaternions")
+    matched = turns[name]
+    return replace(matched, description=f"{matched.description}; read as x y z {name} ({figures})")
+
+
+def _matched(
+    poses: PoseFile, scans: Path, stamps: I64 | None, numbers: I64, points: Points | None
+) -> MatchedPoses:
+    file = poses.path
     if stamps is not None and poses.stamps is not None and (len(poses) > 1 or len(stamps) == 1):
-        return _by_stamp(poses, scans, stamps)
+        return _on_one_clock(poses, scans, stamps, points)
     if poses.numbers is not None:
-        return _by_number(poses, scans, numbers)
+        if not np.isin(numbers, poses.numbers).any() and len(poses) == len(numbers):
+            poses = replace(poses, numbers=None)  # vertices of a graph have numbers of their own
+        else:
+            return _by_number(poses, scans, numbers)
     if len(poses) != len(numbers):
         plural = "pose" if len(poses) == 1 else "poses"
         problem = f"has {len(poses)} {plural}, but there are {len(numbers)} scans in {scans}"
         hint = "Give one pose per scan, or stamps for both (TUM, CSV), or an index (CSV)"
         raise DataError(file, problem, hint=hint)
     stamps = poses.stamps if stamps is None else stamps
+    if stamps is not None and (np.diff(stamps) < 0).any():
+        stamps = None
     return MatchedPoses(
         np.arange(len(numbers)), poses.poses, stamps, f"{file.name} ({poses.kind}), by order"
     )
+
+
+def _on_one_clock(poses: PoseFile, scans: Path, stamps: I64, points: Points | None) -> MatchedPoses:
+    """Poses by stamp; on the clock that fits if the given one covers few scans."""
+    assert poses.stamps is not None
+    share = clocks.covered(stamps, poses.stamps)
+    found = clocks.offsets(stamps, poses.stamps) if share < clocks.INSIDE else {}
+    if not found or points is None:
+        return _by_stamp(poses, scans, stamps)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        readings = {"the clock of the scans": _by_stamp(poses, scans, stamps)} if share else {}
+        shifted = {name: replace(poses, stamps=poses.stamps + by) for name, by in found.items()}
+        readings |= {name: _by_stamp(each, scans, stamps) for name, each in shifted.items()}
+    try:
+        name, figures = _tried(poses.path, readings, points, "the clock of its times")
+    except DataError:
+        return _by_stamp(poses, scans, stamps)  # which reports it if no scan is covered
+    if name in found:
+        seconds = f"{found[name] / 1e9:+.3f} s: {name}"
+        described = f"{readings[name].description}, {seconds} ({figures})"
+        return replace(readings[name], description=described)
+    return _by_stamp(poses, scans, stamps)
+
+
+def _tried(
+    file: Path, readings: Mapping[str, MatchedPoses], points: Points, what: str
+) -> tuple[str, str]:
+    """The reading that fits the scans, and its measures in words.
+
+    Raises:
+        DataError: if none is good by itself and clearly better than the others.
+    """
+    common = sorted(set.intersection(*(set(each.positions.tolist()) for each in readings.values())))
+    if not common:
+        common = list(next(iter(readings.values())).positions)
+    rows = {name: np.searchsorted(each.positions, common) for name, each in readings.items()}
+    own = lambda k: points(common[k])  # noqa: E731
+    verdict = judge(
+        {
+            name: near_zero(Reading(each.poses[rows[name]], own))
+            for name, each in readings.items()
+            if len(rows[name]) == len(common)
+        }
+    )
+    if not verdict.sure:
+        hint = (
+            "Say it in the file: a header line such as # time x y z qx qy qz qw, or times on the "
+            "clock of the scans"
+        )
+        raise DataError(file, f"cannot tell {what} from the scans ({verdict.figures})", hint=hint)
+    return verdict.best, str(verdict.measures[verdict.best])
 
 
 def _by_stamp(poses: PoseFile, scans: Path, stamps: I64) -> MatchedPoses:

@@ -29,6 +29,7 @@ from dynaviz.sources.datasets.pose_matching import (
     parse_points_in,
 )
 from dynaviz.sources.datasets.transforms import Chain, TransformTree, frame_name
+from dynaviz.sources.hypotheses.sweep import Sweeps, SweepTimes, judge_sweeps
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import (
     FIELDS,
@@ -37,6 +38,7 @@ from dynaviz.spatial.trajectory import (
     PosesOverTime,
     Trajectory,
     deskew,
+    impossible,
     point_times,
     unit_of,
 )
@@ -104,9 +106,10 @@ class RosBagSequence:
     poses: F64
     trajectory: PosesOverTime
     points_in: str
-    time_field: tuple[str, float] | None
+    sweep: Sweep | None
     facts: dict[str, str]
     origin: F64 = field(default_factory=lambda: np.zeros(3))
+    impossible: dict[int, int] = field(default_factory=dict, compare=False)
 
     @classmethod
     def matches(cls, path: Path) -> bool:
@@ -154,7 +157,11 @@ class RosBagSequence:
             T = trajectory.at(clouds.stamps)
         elif poses is not None and poses not in odometries and Path(poses).is_file():
             matched = match_poses(
-                Path(poses).absolute(), file, clouds.stamps, np.arange(len(clouds.stamps))
+                Path(poses).absolute(),
+                file,
+                clouds.stamps,
+                np.arange(len(clouds.stamps)),
+                None if frame == "world" else lambda k: _sensor_points(bag, clouds, k),
             )
             positions = matched.positions
             T = matched.poses
@@ -178,13 +185,30 @@ class RosBagSequence:
             warnings.warn(
                 f"{file}: the stamps of {clouds.topic} decrease at cloud {position}", stacklevel=2
             )
-        time_field = (
-            None if frame == "world" or deskew is False else _time_field(bag, clouds, positions)
-        )
-        facts = {"topic": f"{clouds.topic} (frame "
-        f"{clouds.frame})", "poses": description, "points in": f"{frame} frame",
-                 "deskewed": f"with the field {time_field[0]}" if time_field else "no",
-                 **bag.contents}  # fmt: skip
+        sweep = Sweep.find(bag, clouds, positions)
+        words = "no, points have no times"
+        if frame == "world":
+            sweep = None
+            words = "no, points are in the world frame"
+        elif deskew is False:
+            sweep = None
+            words = "no, as --no-deskew demands"
+        elif sweep is not None:
+            words = f"with the field {sweep.field}"
+            if deskew is None and poses != NO_POSES:
+                tried = _judged(bag, clouds, positions, T, trajectory, sweep)
+                words += f": {tried.words}" if tried.words else ""
+                if tried.deskewed:
+                    sweep = None
+                    words = f"no, points are deskewed already: {tried.words}"
+        facts = {
+            "topic": f"{clouds.topic} (frame {clouds.frame})",
+            "poses": description,
+            "points in": f"{frame} frame",
+            "times": "header stamps of the clouds",
+            "deskewed": words,
+            **bag.contents,
+        }
         return cls(
             file.stem,
             Sensor(),
@@ -194,7 +218,7 @@ class RosBagSequence:
             T,
             trajectory,
             frame,
-            time_field,
+            sweep,
             facts,
             origin,
         )
@@ -226,9 +250,10 @@ class RosBagSequence:
         offsets = None
         with _valid_cloud(self.bag, self.clouds, k):
             points = cloud_xyz(rows)
-        if self.time_field and self.time_field[0] in (rows.dtype.names or ()):
-            name, unit = self.time_field
-            times = point_times(rows[name], unit, stamp)
+        if self.sweep and self.sweep.field in (rows.dtype.names or ()):
+            times, wrong = self.sweep.times(rows, points, stamp)
+            if wrong:
+                self._name_impossible(k, wrong, len(points))
             points, origins = deskew(points, times, self.trajectory)
             offsets = ((times - stamp) * 1e-9).astype(np.float32)
         elif self.points_in == "sensor":
@@ -243,6 +268,24 @@ class RosBagSequence:
         return without_axes(
             columns_of(_read_cloud(self.bag, self.clouds, int(self.positions[position])))
         )
+
+    def _name_impossible(self, k: int, wrong: int, points: int) -> None:
+        """Count points with impossible times, and warn about the first ones."""
+        assert self.sweep is not None
+        if not self.impossible:
+            fate = (
+                "they get the time at which the sensor looks in their direction"
+                if self.sweep.table.steady
+                else "they are placed with the pose of their scan"
+            )
+            problem = (
+                f"{wrong:,} of {points:,} points of cloud {k} have an impossible time in "
+                f"{self.sweep.field}; {fate}"
+            )
+            warnings.warn(f"{self.bag.path}: {problem}", stacklevel=3)
+        self.impossible[k] = wrong
+        total = sum(self.impossible.values())
+        self.facts["impossible times"] = f"{total:,} points in {len(self.impossible):,} clouds"
 
     def unposed(self) -> Iterator[Unposed]:
         """The points of skipped clouds."""
@@ -407,6 +450,14 @@ def _pose_source(
         raise DataError(bag.path, problem, hint=f"If both frames coincide, add --poses {topic}")
     problem = "has no poses: no nav_msgs/Odometry, no geometry_msgs/PoseStamped"
     hint = _POSES_HINT
+    if transforms.parents:
+        pairs = sorted(transforms.parents.items())[:4]
+        links = ", ".join(f"{parent} to {child}" for child, parent in pairs)
+        problem += f" (its TF has {links})"
+        hint = (
+            "If this is a part of a split bag, give the folder with all parts: the mount of the "
+            f"lidar in /tf_static is often only in the first. Otherwise: {_POSES_HINT}"
+        )
     raise NoPoses(
         bag.path,
         f"{problem}, and no TF from {clouds.frame or 'the clouds'} to a world frame",
@@ -479,28 +530,103 @@ def _from_topic(
     return mount and Chain(((odometry.trajectory, False),)).then(mount)
 
 
-def _time_field(bag: Bag, clouds: CloudTopic, positions: I64) -> tuple[str, float] | None:
-    """The field with the point times and its unit in nanoseconds; None if no field spans a sweep.
+@dataclass(frozen=True)
+class Sweep:
+    """When the points of a cloud were measured.
 
-    Several sweeps are examined, because a single one may be incomplete.
+    Attributes:
+        field: the field with their times.
+        unit: nanoseconds per unit of the field.
+        table: time by azimuth, for points whose own time is impossible.
     """
-    widest: tuple[float, str, float] | None = None
-    for k in np.unique(np.linspace(0, len(positions) - 1, SAMPLES).astype(int)):
-        rows = _read_cloud(bag, clouds, int(positions[k]))
-        field = next((name for name in FIELDS if name in (rows.dtype.names or ())), None)
-        if field is None or rows.dtype[field].shape or not len(rows):
-            continue
-        values = rows[field][np.isfinite(rows[field])]
-        span = float(values.max() - values.min()) if len(values) else 0.0
-        if (unit := unit_of(values)) is not None and (widest is None or span > widest[0]):
-            widest = span, field, unit
-    return widest and widest[1:]
+
+    field: str
+    unit: float
+    table: SweepTimes
+
+    @classmethod
+    def find(cls, bag: Bag, clouds: CloudTopic, positions: I64) -> Sweep | None:
+        """The field with the point times and its unit; None if no field spans a sweep.
+
+        Several sweeps are examined, because a single one may be incomplete.
+        """
+        found: Counter[tuple[str, float]] = Counter()
+        sweeps: dict[str, list[tuple[F64, F64]]] = defaultdict(list)
+        for k in np.unique(np.linspace(0, len(positions) - 1, SAMPLES).astype(int)):
+            rows = _read_cloud(bag, clouds, int(positions[k]))
+            field = next((name for name in FIELDS if name in (rows.dtype.names or ())), None)
+            if field is None or rows.dtype[field].shape or not len(rows):
+                continue
+            values = rows[field]
+            if (unit := unit_of(values)) is None:
+                continue
+            found[field, unit] += 1
+            with _valid_cloud(bag, clouds, int(positions[k])):
+                points = cloud_xyz(rows)
+            right = np.isfinite(points).all(1) & ~impossible(values)
+            first = values[right].min() if right.any() else 0
+            times = (values[right] - first).astype(np.float64)
+            sweeps[field].append((points[right].astype(np.float64), times))
+        if not found:
+            return None
+        (field, unit), _ = found.most_common(1)[0]
+        return cls(field, unit, SweepTimes.of(sweeps[field]))
+
+    def times(self, rows: NDArray[Any], points: NDArray[Any], stamp: int) -> tuple[I64, int]:
+        """(N,) int64, nanoseconds: times of the points of a cloud, and how many are impossible.
+
+        The latter get the time at which the sensor looks in their direction, if its sweeps begin
+        alike; otherwise that of the cloud.
+        """
+        values = rows[self.field]
+        times = point_times(values, self.unit, stamp)
+        finite = np.isfinite(points).all(1)
+        wrong = impossible(values) & finite
+        number = int(wrong.sum())
+        if number and self.table.steady and not wrong.all():
+            offsets, known = self.table.at(points[wrong].astype(np.float64))
+            start = int(times[~wrong & finite].min())
+            chosen = np.flatnonzero(wrong)[known]
+            times[chosen] = start + np.round(offsets[known] * self.unit).astype(np.int64)
+        return times, number
+
+
+def _judged(
+    bag: Bag,
+    clouds: CloudTopic,
+    positions: I64,
+    poses: F64,
+    path: PosesOverTime,
+    sweep: Sweep,
+) -> Sweeps:
+    """Whether clouds are deskewed already, tried on some of them."""
+
+    def read(position: int, here: bool) -> Scan:
+        k = int(positions[position])
+        rows = _read_cloud(bag, clouds, k)
+        with _valid_cloud(bag, clouds, k):
+            points = cloud_xyz(rows)
+        stamp = int(clouds.stamps[k])
+        if here and sweep.field in (rows.dtype.names or ()):
+            points, _ = deskew(points, sweep.times(rows, points, stamp)[0], path)
+        else:
+            points = geometry.transform(poses[position], points)
+        return Scan(k, points, poses[position], stamp)
+
+    return judge_sweeps(read, poses, clouds.stamps[positions], path)
 
 
 def _read_cloud(bag: Bag, clouds: CloudTopic, k: int) -> NDArray[Any]:
     """The points of a cloud with all fields."""
     with _valid_cloud(bag, clouds, k):
         return cloud_rows(bag.message(clouds.topic, *clouds.keys[k].tolist()))
+
+
+def _sensor_points(bag: Bag, clouds: CloudTopic, k: int) -> F64:
+    """(N, 3) float64, metres: the points of a cloud as they are in the message."""
+    rows = _read_cloud(bag, clouds, k)
+    with _valid_cloud(bag, clouds, k):
+        return cloud_xyz(rows).astype(np.float64)
 
 
 @contextlib.contextmanager

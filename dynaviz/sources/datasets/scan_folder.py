@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from dynaviz.errors import DataError, NoPoses
 from dynaviz.io.fields import coordinates, given_coordinates, read_fields, read_points, without_axes
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import Pcd, read_header
-from dynaviz.io.poses import find_poses, nanoseconds
+from dynaviz.io.poses import find_poses, nanoseconds, pose_candidates, read_poses
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne, velodyne_attributes
 from dynaviz.sources.datasets.pose_matching import (
@@ -31,8 +30,11 @@ from dynaviz.sources.datasets.pose_matching import (
     match_poses,
     parse_extrinsic,
     parse_points_in,
+    warn_skipped,
 )
 from dynaviz.sources.datasets.semantickitti import CLASS_NAMES, MOVING_CLASSES, UNLABELLED_CLASSES
+from dynaviz.sources.hypotheses.judge import Points
+from dynaviz.sources.hypotheses.names import read_names
 from dynaviz.spatial import geometry
 
 SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
@@ -68,6 +70,7 @@ class ScanFolderSequence:
     points_in: str
     columns: tuple[str, ...] = ()
     skipped: tuple[Path, ...] = ()
+    naming: str = ""
 
     @classmethod
     def matches(cls, path: Path) -> bool:
@@ -103,30 +106,27 @@ class ScanFolderSequence:
         if folder is None:
             hint = f"Scans end in {', '.join(SUFFIXES)} and are named by number or stamp"
             raise DataError(path, _describe_missing_scans(path), hint=hint)
-        scans, numbers, stamps = _sorted_scans(folder)
         sequence_folder = (
             folder.parent if folder != path or folder.name.lower() in _GENERIC_NAMES else folder
         )
+        file = None
+        if poses != NO_POSES:
+            file = Path(poses).absolute() if poses else find_beside(folder, sequence_folder)
+        scans, numbers, stamps, naming = _sorted_scans(folder, file)
+        columns = detect_columns(scans[0]) if scans[0].suffix.lower() == ".bin" else ()
         if poses == NO_POSES:
             matched = MatchedPoses(
                 np.arange(len(scans)), np.tile(np.eye(4), (len(scans), 1, 1)), stamps, "none"
             )
+        elif file is not None:
+            points = None if frame == "world" else _reader(scans, columns)
+            matched = match_poses(file, folder, stamps, numbers, points)
         else:
-            file = (
-                Path(poses).absolute()
-                if poses
-                else find_poses(folder) or find_poses(sequence_folder)
-            )
-            matched = (
-                match_poses(file, folder, stamps, numbers)
-                if file
-                else _viewpoints(folder, scans, stamps)
-            )
+            matched = _own_poses(folder, sequence_folder, scans, stamps)
         mount = parse_extrinsic(extrinsic)
         matched = (matched if mount is None else matched.mounted(mount)).near_zero()
         kept = matched.positions.tolist()
         indices = tuple(kept) if stamps is not None else tuple(numbers[kept].tolist())
-        columns = detect_columns(scans[0]) if scans[0].suffix.lower() == ".bin" else ()
         posed = set(kept)
         skipped = tuple(scan for k, scan in enumerate(scans) if k not in posed)
         return cls(
@@ -138,6 +138,7 @@ class ScanFolderSequence:
             frame,
             columns,
             skipped,
+            naming,
         )
 
     @property
@@ -157,7 +158,12 @@ class ScanFolderSequence:
     @property
     def facts(self) -> dict[str, str]:
         """Source and matching of the poses, and frame of the points."""
-        facts = {"poses": self.matched.description, "points in": f"{self.points_in} frame"}
+        facts = {
+            "poses": self.matched.description,
+            "points in": f"{self.points_in} frame",
+            "names": self.naming,
+            "deskewed": "no, scans are taken as they are",
+        }
         if self.columns not in ((), FIELDS[:4]):
             facts["columns"] = " ".join(self.columns)
         if self.origin.any():
@@ -261,7 +267,7 @@ class ScanFolderSequence:
     def _label_file(self, scan: Path) -> Path | None:
         for folder in (self.folder / "labels", self.folder.parent / "labels"):
             for suffix in (".label", ".npy"):
-                if (file := folder / f"{scan.stem}{suffix}").is_file():
+                if (file := folder / f"{_stem(scan)}{suffix}").is_file():
                     return file
         return None
 
@@ -306,8 +312,18 @@ def _scan_files(folder: Path) -> list[Path]:
     return [
         path
         for path in _entries(folder)
-        if path.suffix.lower() in SUFFIXES and path.stem[-1:].isdigit()
+        if path.suffix.lower() in SUFFIXES and _stem(path)[-1:].isdigit()
     ]
+
+
+def _stem(path: Path) -> str:
+    """The name without its suffixes: ``scan_000001`` of ``scan_000001.pcd.bin``."""
+    stem = path.stem
+    return stem[: -len(".pcd")] if stem.lower().endswith(".pcd") else stem
+
+
+def _suffix(path: Path) -> str:
+    return path.suffix.lower()
 
 
 def _scans_in(path: Path) -> Path | None:
@@ -322,16 +338,19 @@ def _scans_in(path: Path) -> Path | None:
     return candidates[0] if len(candidates) == 1 else None
 
 
-def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
-    """The scans in order, their numbers, and their stamps if the names are stamps.
+def _sorted_scans(folder: Path, poses: Path | None) -> tuple[list[Path], I64, I64 | None, str]:
+    """The scans in order, their numbers, their stamps if the names are times, and how the names
+    were read.
 
-    Ten digits or a decimal point.
+    Args:
+        folder: of the scans.
+        poses: pose file, whose times show what the names mean.
 
     Raises:
         DataError: for files of several formats, or two files with the same number.
     """
-    files = _scan_files(folder)
-    suffixes = Counter(path.suffix.lower() for path in files)
+    files = sorted(_scan_files(folder))
+    suffixes = Counter(_suffix(path) for path in files)
     if len(suffixes) > 1:
         counts = ", ".join(f"{suffix} ({count})" for suffix, count in suffixes.most_common())
         raise DataError(
@@ -339,13 +358,8 @@ def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
             f"contains scans in several formats: {counts}",
             hint="Keep one format per folder",
         )
-    # the name ends in a digit
-    texts = [re.search(r"\d+(?:\.\d+)?$", path.stem)[0] for path in files]  # type: ignore[index]
-    stamped = all("." in text or len(text) >= 10 for text in texts)
-    keys = [
-        _stamp(file, text) if stamped else int(text.replace(".", ""))
-        for file, text in zip(files, texts, strict=True)
-    ]
+    naming = read_names([_stem(path) for path in files], _times_of(poses))
+    keys = naming.keys
     order = sorted(range(len(files)), key=lambda k: (keys[k], files[k].name))
     for a, b in pairwise(order):
         if keys[a] == keys[b]:
@@ -357,19 +371,86 @@ def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
     except OverflowError:
         raise DataError(
             files[order[-1]],
-            "the number in the name is too large",
-            hint="Name scans by number or stamp",
+            f"its name is not a valid time ({_too_large(_stem(files[order[-1]]))})",
+            hint="Name scans by number, or by their stamp in s, ms, us or ns since 1970",
         ) from None
-    return [files[k] for k in order], numbers, numbers if stamped else None
+    first = files[order[0]].name
+    words = f"{naming}, {first} to {files[order[-1]].name}" if len(files) > 1 else str(naming)
+    return [files[k] for k in order], numbers, numbers if naming.timed else None, words
 
 
-def _stamp(file: Path, text: str) -> int:
-    """The time in a file name, nanoseconds."""
+def _too_large(stem: str) -> str:
+    """Why the number in a name is no time."""
     try:
-        return nanoseconds(text)
+        nanoseconds(stem)
     except ValueError as error:
-        hint = "Name scans by number, or by their stamp in s, ms, us or ns since 1970"
-        raise DataError(file, f"its name is not a valid time ({error})", hint=hint) from None
+        return str(error)
+    return "the number is too large"
+
+
+def _times_of(poses: Path | None) -> I64 | None:
+    """The times in a pose file; None if it has none, or cannot be read, which is reported later."""
+    if poses is None:
+        return None
+    try:
+        return read_poses(poses).stamps
+    except DataError:
+        return None
+
+
+def _reader(scans: list[Path], columns: tuple[str, ...]) -> Points:
+    """Reads the points of a scan as they are in its file."""
+
+    def read(position: int) -> F64:
+        path = scans[position]
+        if columns:
+            return read_velodyne(path, len(columns))[:, :3].astype(np.float64)
+        return coordinates(read_fields(path))
+
+    return read
+
+
+def find_beside(folder: Path, sequence: Path) -> Path | None:
+    """The pose file in the folder of the scans, or beside it.
+
+    Raises:
+        DataError: if there are several of the same rank.
+    """
+    return find_poses(folder) or find_poses(sequence)
+
+
+def _own_poses(folder: Path, sequence: Path, scans: list[Path], stamps: I64 | None) -> MatchedPoses:
+    """Poses in a file beside each scan (``.odom``), or in the VIEWPOINT of PCD files.
+
+    Raises:
+        DataError: if there are none, but another file may have them.
+        NoPoses: if there are none.
+    """
+    files = [path.with_name(f"{_stem(path)}.odom") for path in scans]
+    posed = [k for k, path in enumerate(files) if path.is_file()]
+    if posed:
+        poses = np.concatenate([read_poses(files[k]).poses for k in posed])
+        kept = np.array(posed)
+        own = None if stamps is None else stamps[kept]
+        warn_skipped(len(scans) - len(kept), len(scans), "have no .odom file")
+        return MatchedPoses(kept, poses, own, "a .odom file beside each scan")
+    try:
+        return _viewpoints(folder, scans, stamps)
+    except NoPoses:
+        places = dict.fromkeys([folder, sequence])
+        found = [file for place in places for file in pose_candidates(place, len(scans))]
+        if not found:
+            raise
+        names = ", ".join(path.name for path in found[:4])
+        hint = (
+            f"If these are the poses, give them with --poses {found[0]}; otherwise estimate them "
+            "with --poses small-gicp"
+        )
+        raise DataError(
+            folder,
+            f"has no poses under a usual name, but files that may be poses: {names}",
+            hint=hint,
+        ) from None
 
 
 def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> MatchedPoses:

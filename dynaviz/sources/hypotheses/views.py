@@ -5,17 +5,18 @@ Downsampled points, surfaces, and the path of the sensor during the sweep.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
 
 from dynaviz.arrays import F64, Intp
 from dynaviz.contracts.scan import Scan
-from dynaviz.diagnosis.trajectory import Pose, angle
 from dynaviz.spatial import geometry
 from dynaviz.spatial.grid import voxel_downsample
 from dynaviz.spatial.sensor_height import sensor_height
+
+Pose = Callable[[F64], F64]
 
 CELL = 0.4  # metres; voxel size for comparing scans
 SAMPLE = 20_000  # points in which hidden ones are counted
@@ -248,3 +249,8 @@ def to_z(up: F64) -> F64:
     K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     R: F64 = np.eye(3) + K + K @ K
     return R
+
+
+def angle(T: F64) -> float:
+    """Rotation angle of a pose, degrees."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
