@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterator
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz.arrays import F64, I64, single
 from dynaviz.contracts.attributes import Attributes, Unposed, far_origin
@@ -19,8 +17,16 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses, UsageError
 from dynaviz.io.fields import columns_of, coordinates, without_axes
-from dynaviz.io.pointcloud2 import cloud_rows, cloud_xyz
+from dynaviz.io.pointcloud2 import cloud_xyz
 from dynaviz.io.rosbag import Bag, is_bag
+from dynaviz.sources.datasets.bag_clouds import (
+    CloudTopic,
+    TimedSweep,
+    judged,
+    read_cloud,
+    sensor_points,
+    valid_cloud,
+)
 from dynaviz.sources.datasets.pose_matching import (
     NO_POSES,
     covered_scans,
@@ -29,45 +35,22 @@ from dynaviz.sources.datasets.pose_matching import (
     parse_points_in,
 )
 from dynaviz.sources.datasets.transforms import Chain, TransformTree, frame_name
-from dynaviz.sources.hypotheses.sweep import Sweeps, SweepTimes, judge_sweeps
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import (
-    FIELDS,
     Mounted,
     Moved,
     PosesOverTime,
     Trajectory,
     deskew,
-    impossible,
-    point_times,
-    unit_of,
 )
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-SAMPLES = 5  # clouds used to determine the unit of the point times
 _POSES_HINT = (
     "Estimate the poses with --poses small-gicp, or give a trajectory of the lidar with --poses "
     "FILE"
 )
-
-
-@dataclass(frozen=True)
-class CloudTopic:
-    """Index of the clouds of a topic.
-
-    Attributes:
-        topic: name of the topic.
-        frame: frame of the first cloud.
-        keys: (N, 2) int64: recording time in ns, and position among the messages of that time.
-        stamps: (N,) int64, nanoseconds: header stamp, or recording time if the header has none.
-    """
-
-    topic: str
-    frame: str
-    keys: I64
-    stamps: I64
 
 
 @dataclass(frozen=True)
@@ -106,7 +89,7 @@ class RosBagSequence:
     poses: F64
     trajectory: PosesOverTime
     points_in: str
-    sweep: Sweep | None
+    sweep: TimedSweep | None
     facts: dict[str, str]
     origin: F64 = field(default_factory=lambda: np.zeros(3))
     impossible: dict[int, int] = field(default_factory=dict, compare=False)
@@ -161,7 +144,7 @@ class RosBagSequence:
                 file,
                 clouds.stamps,
                 np.arange(len(clouds.stamps)),
-                None if frame == "world" else lambda k: _sensor_points(bag, clouds, k),
+                None if frame == "world" else lambda k: sensor_points(bag, clouds, k),
             )
             positions = matched.positions
             T = matched.poses
@@ -185,7 +168,7 @@ class RosBagSequence:
             warnings.warn(
                 f"{file}: the stamps of {clouds.topic} decrease at cloud {position}", stacklevel=2
             )
-        sweep = Sweep.find(bag, clouds, positions)
+        sweep = TimedSweep.find(bag, clouds, positions)
         words = "no, points have no times"
         if frame == "world":
             sweep = None
@@ -196,7 +179,7 @@ class RosBagSequence:
         elif sweep is not None:
             words = f"with the field {sweep.field}"
             if deskew is None and poses != NO_POSES:
-                tried = _judged(bag, clouds, positions, T, trajectory, sweep)
+                tried = judged(bag, clouds, positions, T, trajectory, sweep)
                 words += f": {tried.words}" if tried.words else ""
                 if tried.deskewed:
                     sweep = None
@@ -245,10 +228,10 @@ class RosBagSequence:
         k = int(self.positions[position])
         stamp = int(self.clouds.stamps[k])
         T_world_sensor = self.poses[position]
-        rows = _read_cloud(self.bag, self.clouds, k)
+        rows = read_cloud(self.bag, self.clouds, k)
         origins = None
         offsets = None
-        with _valid_cloud(self.bag, self.clouds, k):
+        with valid_cloud(self.bag, self.clouds, k):
             points = cloud_xyz(rows)
         if self.sweep and self.sweep.field in (rows.dtype.names or ()):
             times, wrong = self.sweep.times(rows, points, stamp)
@@ -266,7 +249,7 @@ class RosBagSequence:
     def attributes(self, position: int) -> Attributes:
         """All fields of the message besides the coordinates, as they are in the message."""
         return without_axes(
-            columns_of(_read_cloud(self.bag, self.clouds, int(self.positions[position])))
+            columns_of(read_cloud(self.bag, self.clouds, int(self.positions[position])))
         )
 
     def _name_impossible(self, k: int, wrong: int, points: int) -> None:
@@ -290,7 +273,7 @@ class RosBagSequence:
     def unposed(self) -> Iterator[Unposed]:
         """The points of skipped clouds."""
         for k in np.setdiff1d(np.arange(len(self.clouds.stamps)), self.positions).tolist():
-            fields = columns_of(_read_cloud(self.bag, self.clouds, k))
+            fields = columns_of(read_cloud(self.bag, self.clouds, k))
             points = len(fields["x"])
             in_world = self.points_in == "world"
             yield (
@@ -528,114 +511,3 @@ def _from_topic(
         return odometry.trajectory
     mount = transforms.lookup(odometry.child, clouds.frame)
     return mount and Chain(((odometry.trajectory, False),)).then(mount)
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """When the points of a cloud were measured.
-
-    Attributes:
-        field: the field with their times.
-        unit: nanoseconds per unit of the field.
-        table: time by azimuth, for points whose own time is impossible.
-    """
-
-    field: str
-    unit: float
-    table: SweepTimes
-
-    @classmethod
-    def find(cls, bag: Bag, clouds: CloudTopic, positions: I64) -> Sweep | None:
-        """The field with the point times and its unit; None if no field spans a sweep.
-
-        Several sweeps are examined, because a single one may be incomplete.
-        """
-        found: Counter[tuple[str, float]] = Counter()
-        sweeps: dict[str, list[tuple[F64, F64]]] = defaultdict(list)
-        for k in np.unique(np.linspace(0, len(positions) - 1, SAMPLES).astype(int)):
-            rows = _read_cloud(bag, clouds, int(positions[k]))
-            field = next((name for name in FIELDS if name in (rows.dtype.names or ())), None)
-            if field is None or rows.dtype[field].shape or not len(rows):
-                continue
-            values = rows[field]
-            if (unit := unit_of(values)) is None:
-                continue
-            found[field, unit] += 1
-            with _valid_cloud(bag, clouds, int(positions[k])):
-                points = cloud_xyz(rows)
-            right = np.isfinite(points).all(1) & ~impossible(values)
-            first = values[right].min() if right.any() else 0
-            times = (values[right] - first).astype(np.float64)
-            sweeps[field].append((points[right].astype(np.float64), times))
-        if not found:
-            return None
-        (field, unit), _ = found.most_common(1)[0]
-        return cls(field, unit, SweepTimes.of(sweeps[field]))
-
-    def times(self, rows: NDArray[Any], points: NDArray[Any], stamp: int) -> tuple[I64, int]:
-        """(N,) int64, nanoseconds: times of the points of a cloud, and how many are impossible.
-
-        The latter get the time at which the sensor looks in their direction, if its sweeps begin
-        alike; otherwise that of the cloud.
-        """
-        values = rows[self.field]
-        times = point_times(values, self.unit, stamp)
-        finite = np.isfinite(points).all(1)
-        wrong = impossible(values) & finite
-        number = int(wrong.sum())
-        if number and self.table.steady and not wrong.all():
-            offsets, known = self.table.at(points[wrong].astype(np.float64))
-            start = int(times[~wrong & finite].min())
-            chosen = np.flatnonzero(wrong)[known]
-            times[chosen] = start + np.round(offsets[known] * self.unit).astype(np.int64)
-        return times, number
-
-
-def _judged(
-    bag: Bag,
-    clouds: CloudTopic,
-    positions: I64,
-    poses: F64,
-    path: PosesOverTime,
-    sweep: Sweep,
-) -> Sweeps:
-    """Whether clouds are deskewed already, tried on some of them."""
-
-    def read(position: int, here: bool) -> Scan:
-        k = int(positions[position])
-        rows = _read_cloud(bag, clouds, k)
-        with _valid_cloud(bag, clouds, k):
-            points = cloud_xyz(rows)
-        stamp = int(clouds.stamps[k])
-        if here and sweep.field in (rows.dtype.names or ()):
-            points, _ = deskew(points, sweep.times(rows, points, stamp)[0], path)
-        else:
-            points = geometry.transform(poses[position], points)
-        return Scan(k, points, poses[position], stamp)
-
-    return judge_sweeps(read, poses, clouds.stamps[positions], path)
-
-
-def _read_cloud(bag: Bag, clouds: CloudTopic, k: int) -> NDArray[Any]:
-    """The points of a cloud with all fields."""
-    with _valid_cloud(bag, clouds, k):
-        return cloud_rows(bag.message(clouds.topic, *clouds.keys[k].tolist()))
-
-
-def _sensor_points(bag: Bag, clouds: CloudTopic, k: int) -> F64:
-    """(N, 3) float64, metres: the points of a cloud as they are in the message."""
-    rows = _read_cloud(bag, clouds, k)
-    with _valid_cloud(bag, clouds, k):
-        return cloud_xyz(rows).astype(np.float64)
-
-
-@contextlib.contextmanager
-def _valid_cloud(bag: Bag, clouds: CloudTopic, k: int) -> Iterator[None]:
-    """Name the message in the error of a cloud."""
-    try:
-        yield
-    except ValueError as error:
-        at = f"message {k} of {clouds.topic}"
-        raise DataError(
-            bag.path, f"invalid cloud: {error}", at=at, hint="Record it again"
-        ) from None

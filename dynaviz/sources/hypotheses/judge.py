@@ -79,7 +79,7 @@ class Measures:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ReadingChoice:
     """Which interpretation holds.
 
     Attributes:
@@ -111,7 +111,7 @@ class Reading:
     points: Points
 
 
-def judge(readings: Mapping[str, Reading]) -> Verdict:
+def judge(readings: Mapping[str, Reading]) -> ReadingChoice:
     """Compare readings of the same scans on the same pairs.
 
     Args:
@@ -132,7 +132,7 @@ def judge(readings: Mapping[str, Reading]) -> Verdict:
         (measures[best].fit - measures[name].fit for name in others),
         default=1.0,
     )
-    return Verdict(best, bool(chosen) and measures[best].good and lead >= CLEAR, measures)
+    return ReadingChoice(best, bool(chosen) and measures[best].good and lead >= CLEAR, measures)
 
 
 def pairs_of(ways: Sequence[F64]) -> list[tuple[int, int]]:
