@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import re
 import subprocess
 import sys
@@ -39,15 +38,21 @@ def files(package: str) -> list[Path]:
 
 
 @cache
-def modules() -> dict[str, set[str]]:
-    """Each module with the modules that it imports, also inside functions and for types only."""
-    names = {
+def paths() -> dict[str, Path]:
+    """The file of each module."""
+    return {
         ".".join((package, *path.relative_to(root).with_suffix("").parts)).removesuffix(
             ".__init__"
         ): path
         for package, root in PACKAGES.items()
         for path in files(package)
     }
+
+
+@cache
+def modules() -> dict[str, set[str]]:
+    """Each module with the modules that it imports, also inside functions and for types only."""
+    names = paths()
     return {
         name: {known for known in imports(path) if known in names and known != name}
         for name, path in names.items()
@@ -155,14 +160,41 @@ def test_only_viz_imports_rerun() -> None:
     assert all(path.is_relative_to(ROOT / "dynaviz/views") for path in guilty)
 
 
-def test_kernels_call_no_function_of_another_file() -> None:
-    """Numba's cache on disk does not notice that the other file changed."""
-    kernels = "dynaviz.kernels."
-    for path in (PACKAGES["dynaviz"] / "kernels").glob("*.py"):
-        for name in imports(path):
-            if name.startswith(kernels) and "." in name.removeprefix(kernels):
-                module, _, member = name.rpartition(".")
-                assert not callable(getattr(importlib.import_module(module), member)), (path, name)
+def decorators(path: Path) -> dict[str, str]:
+    """The decorators of each function of a file."""
+    return {
+        node.name: " ".join(map(ast.unparse, node.decorator_list))
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.FunctionDef)
+    }
+
+
+def test_no_file_imports_a_parallel_kernel() -> None:
+    """Where numba's threading layer serves one thread, only ``kernels.FILE.function`` waits."""
+    parallel = {
+        f"{module}.{name}"
+        for module, path in paths().items()
+        for name, decorator in decorators(path).items()
+        if "parallel=True" in decorator
+    }
+    assert len(parallel) > 10
+    assert [path for path in paths().values() if parallel & set(imports(path))] == []
+
+
+def test_kernels_are_loaded_on_first_use() -> None:
+    """Only other kernels import a file with kernels: they share its functions."""
+    kernels = {
+        module
+        for module, path in paths().items()
+        if any("njit" in decorator for decorator in decorators(path).values())
+    }
+    assert len(kernels) > 20
+    assert all(".kernels." in module for module in kernels)
+    assert [
+        module
+        for module, path in paths().items()
+        if kernels & set(imports(path)) and ".kernels." not in module
+    ] == []
 
 
 METHODS_MAY = ("arrays", "contracts", "spatial", "blocks", "kernels", "errors")

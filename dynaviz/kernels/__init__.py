@@ -1,15 +1,17 @@
 """Numba kernels, loaded on first use.
 
-``kernels.voxels.pack(...)`` imports numba and ``kernels/voxels.py``.
+``kernels.voxels.pack(...)`` imports numba and ``kernels/voxels.py``. ``kernels.load`` does the same
+for the kernels of any package.
 
-Rules for a file in this folder:
+Rules for a file of kernels:
 
-- It calls no function of another file, because numba's cache on disk does not notice changes there.
-- Its functions are compiled with ``cache=True``.
+- Its functions are compiled with ``cache=True``. The cache on disk belongs to the sources of the
+  file and of all that it imports, so kernels may share functions and constants.
 - Results do not depend on the number of threads: threads write either equal values, or integers of
   their own.
 - Parallel kernels are called as ``kernels.FILE.function``, so that they can run one at a time where
-  numba's threading layer does not allow more (``workqueue``).
+  numba's threading layer does not allow more (``workqueue``). No file imports a parallel kernel
+  of another.
 
 The first run is dominated by compilation. Do not assign an array to a slice: the formatting of its
 error message takes three seconds to compile. Give counters that are passed to other functions a
@@ -19,9 +21,7 @@ type: a bare 0 compiles these twice.
 from __future__ import annotations
 
 import functools
-import gc
 import importlib.util
-import os
 import sys
 import threading
 from collections.abc import Callable, Iterable
@@ -33,36 +33,71 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-COMPILING = "compiling kernels, first run only ..."
-LAYERS = ("omp", "workqueue", "tbb")
-"""Threading layers of numba, in order of preference.
+from dynaviz.kernels._numba import COMPILING, LAYERS, numba, packages
 
-- ``omp`` needs OpenMP: libgomp on Linux, vcomp140.dll on Windows, libomp on macOS. Each thread that
-  calls a kernel has its own team of threads, so several runs at once are safe.
-- ``workqueue`` needs nothing. It serves one thread at a time, so parallel kernels take turns.
-- ``tbb`` is never reached, only selected with ``NUMBA_THREADING_LAYER=tbb``: numba takes whatever
-  TBB another package has loaded before, and warns if it is too old.
-"""
+__all__ = [
+    "COMPILING",
+    "LAYERS",
+    "Kernels",
+    "as_readonly",
+    "compiled",
+    "each",
+    "load",
+    "set_threads",
+    "threading_layer",
+    "threads_in_use",
+]
+
 T = TypeVar("T")
 R = TypeVar("R")
-_prepared = False
 _one_at_a_time = threading.RLock()
 _loading = threading.RLock()
 
 
+class Kernels:
+    """The kernels of a package by file, loaded on first use; see ``load``."""
+
+    def __init__(self, package: str) -> None:
+        self._package = package
+
+    def __getattr__(self, name: str) -> ModuleType:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        numba()
+        files = vars(self)
+        with _loading:
+            if name not in files:
+                files[name] = _safe_for_threads(_import(f"{self._package}.{name}"))
+        module: ModuleType = files[name]
+        return module
+
+
+@functools.cache
+def load(package: str) -> Kernels:
+    """The kernels of a package, loaded on first use.
+
+    ``kernels.load("my_package.kernels").counts.add(...)`` imports numba and
+    ``my_package/kernels/counts.py``. Several threads may load and call kernels at once.
+
+    Args:
+        package: the full name of a package whose files hold kernels: functions with
+            ``numba.njit(cache=True)``. They may import functions and constants of other files of
+            their top-level package and of dynaviz; the cache on disk notices when these change.
+            Write the name as a literal, so that results can state the code of the method.
+    """
+    packages.add(package.partition(".")[0])
+    return Kernels(package)
+
+
+_core = load(__name__)
+
+
 def __getattr__(name: str) -> ModuleType:
-    if name.startswith("_"):
-        raise AttributeError(name)
-    _numba()
-    with _loading:
-        if name not in globals():
-            globals()[name] = _safe_for_threads(_load(f"{__name__}.{name}"))
-    module: ModuleType = globals()[name]
-    return module
+    return getattr(_core, name)  # type: ignore[no-any-return]
 
 
-def _load(name: str) -> ModuleType:
-    """Import a module, without making it an attribute of this package, where another thread would
+def _import(name: str) -> ModuleType:
+    """Import a module, without making it an attribute of its package, where another thread would
     find it at once.
     """
     if name in sys.modules:
@@ -90,9 +125,8 @@ def as_readonly(array: Any, dtype: DTypeLike) -> NDArray[Any]:
 
 def set_threads(threads: int | None) -> int:
     """Set the maximum number of threads of kernels (None for all); return the number in use."""
-    numba = _numba()
-    most: int = numba.config.NUMBA_NUM_THREADS
-    numba.set_num_threads(min(threads or most, most))
+    most: int = numba().config.NUMBA_NUM_THREADS
+    numba().set_num_threads(min(threads or most, most))
     return threads_in_use()
 
 
@@ -100,7 +134,7 @@ def threads_in_use() -> int:
     """The number of threads that kernels use, which is the number of lanes of scratch memory that
     they need.
     """
-    return int(_numba().get_num_threads())
+    return int(numba().get_num_threads())
 
 
 def each(call: Callable[[T], R], items: Iterable[T]) -> list[R]:
@@ -142,9 +176,15 @@ def threading_layer() -> str | None:
 
 
 def compiled() -> bool:
-    """Whether an earlier process has stored compiled kernels on disk."""
-    folders = [folder] if (folder := os.environ.get("NUMBA_CACHE_DIR")) else __path__
-    return any(next(Path(folder).glob("**/*.nbi"), None) for folder in folders)
+    """Whether an earlier process has stored compiled kernels on disk, and no source file of
+    dynaviz's is newer.
+    """
+    stored = getattr(_core.voxels.insert, "stats", None)
+    if stored is None:  # NUMBA_DISABLE_JIT: there is nothing to compile
+        return True
+    sources = Path(__file__).parent.glob("[!_]*.py")
+    newest = max(file.stat().st_mtime for file in sources)
+    return any(file.stat().st_mtime >= newest for file in Path(stored.cache_path).glob("*.nbi"))
 
 
 def _safe_for_threads(module: ModuleType) -> ModuleType:
@@ -173,65 +213,3 @@ def _locked(kernel: Callable[..., Any]) -> Callable[..., Any]:
             return kernel(*arguments)
 
     return call
-
-
-def _numba() -> Any:
-    """The package numba, prepared on first use: see ``LAYERS``."""
-    global _prepared
-    import numba
-
-    with _loading:
-        if not _prepared:
-            _prepared = True
-            _postpone_blas()
-            _watch_compilation()
-            if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
-                numba.config.THREADING_LAYER_PRIORITY = list(LAYERS)  # type: ignore[attr-defined]
-    return numba
-
-
-def _postpone_blas() -> None:
-    """Let numba look for scipy's linear algebra only when a function that needs it is compiled.
-
-    It would import it with the first kernel, for 0.3 s and 20 MB.
-    """
-    from numba.np import linalg
-
-    check = linalg.ensure_blas
-    linalg.ensure_blas = lambda: None
-    try:
-        from numba.np import arraymath  # noqa: F401
-    finally:
-        linalg.ensure_blas = check
-
-
-def _watch_compilation() -> None:
-    """Print a message on the first compilation of this process, and collect no garbage while a
-    kernel is compiled.
-
-    The compiler makes so many objects that collections would take a fifth of its time.
-    """
-    from numba.core import event
-
-    class Watcher(event.Listener):
-        announced = False
-        depth = 0  # of kernels that call kernels; the compiler serves one thread at a time
-        collects = False  # before the outermost kernel
-
-        def on_start(self, event: Any) -> None:
-            if not self.announced:
-                self.announced = True
-                from rich.console import Console
-
-                Console(stderr=True).print(f"[dim]{COMPILING}[/]")
-            if self.depth == 0:
-                self.collects = gc.isenabled()
-                gc.disable()
-            self.depth += 1
-
-        def on_end(self, event: Any) -> None:
-            self.depth -= 1
-            if self.depth == 0 and self.collects:
-                gc.enable()
-
-    event.register("numba:compile", Watcher())
