@@ -22,9 +22,9 @@ from dynaviz.contracts.method import Context
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial import scan_ground
-from dynaviz_methods import sky
 from dynaviz_methods.seethrough import REMOVED, SeeThrough, SeeThroughParams, history, level, method
 from dynaviz_methods.seethrough.method import FOOT
+from dynaviz_methods.shared import sky
 
 CHOSEN = (
     "hdl64_town", "hdl64_poor_poses", "hdl64_standing", "vlp32c_square", "vlp16_street",

@@ -31,13 +31,13 @@ from dynaviz import kernels
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.scan import Scan
-from dynaviz_methods.dufomap import DufoMap
-from dynaviz_methods.dynablox import Dynablox, DynabloxParams
-from dynaviz_methods.erasor import Erasor, ErasorParams
-from dynaviz_methods.octomap import OctoMap
-from dynaviz_methods.range_images import image_views, slices
-from dynaviz_methods.removert import Removert
-from dynaviz_methods.tiles import thinned
+from dynaviz_methods.dufomap.method import DufoMap
+from dynaviz_methods.dynablox.method import Dynablox, DynabloxParams
+from dynaviz_methods.erasor.method import Erasor, ErasorParams
+from dynaviz_methods.octomap.method import OctoMap
+from dynaviz_methods.removert.method import Removert
+from dynaviz_methods.shared.range_images import image_views, slices
+from dynaviz_methods.shared.tiles import thinned
 from methods import run
 
 ROUNDS = 3

@@ -10,9 +10,14 @@ that was removed, grey a static point that was kept, pink a removed point withou
 
 from __future__ import annotations
 
+import contextlib
 import zlib
+from functools import cache
+from typing import cast
 
+from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Outcome
+from dynaviz.errors import PluginError
 
 Colour = tuple[int, int, int]  # RGB, 0 to 255
 
@@ -55,21 +60,6 @@ SCORES: dict[str, Colour] = {  # a score has the hue of the errors that lower it
     "AA": NEUTRAL,
     "HA": (150, 105, 205),
 }
-METHODS: dict[str, Colour] = {  # permanent: a method has the same colour in every figure
-    "beautymap": (255, 60, 135),
-    "dufomap": (225, 15, 210),
-    "dynablox": (135, 60, 135),
-    "erasor": (195, 0, 0),
-    "freedom": (100, 0, 180),
-    "hmm_mos": (140, 170, 180),
-    "octomap": (150, 165, 0),
-    "octomap_g": (30, 105, 75),
-    "octomap_gf": (90, 150, 255),
-    "removert": (210, 135, 90),
-    "seethrough": (75, 60, 255),
-}
-
-
 OTHERS: tuple[Colour, ...] = (
     (0, 140, 140), (140, 95, 50), (60, 150, 60), (90, 125, 155), (150, 105, 205), (190, 100, 120),
     (10, 122, 191),
@@ -104,14 +94,20 @@ CLASSES: tuple[
 )
 
 
+@cache
 def method_colour(name: str) -> Colour:
     """The colour of a method, the same in every figure, on white and on black.
 
     Args:
-        name: of the method, as on the command line. The checksum of an unknown name picks one of
-            ``OTHERS``; two unknown methods may share it, so give them different markers.
+        name: of the method, as on the command line. If it is not installed or names no colour, the
+            checksum of its name picks one of ``OTHERS``; two such methods may share it, so give
+            them different markers.
     """
-    return METHODS.get(name) or OTHERS[zlib.crc32(name.encode()) % len(OTHERS)]
+    handle = next((each for each in registry.handles("methods") if each.name == name), None)
+    with contextlib.suppress(PluginError):
+        if handle is not None and (colour := handle.load().info.colour):
+            return cast(Colour, colour)
+    return OTHERS[zlib.crc32(name.encode()) % len(OTHERS)]
 
 
 def span_colours(ghost: bool) -> dict[str, Colour]:

@@ -11,26 +11,22 @@ import multiprocessing
 import signal
 import sys
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 _SPAWN = multiprocessing.get_context("spawn")
-# methods that the demo leaves out, to stay short; compiled on first use
-LATE = (
-    "freedom",
-    "hmm_mos",
-)
 
 
 @contextlib.contextmanager
-def compiling(late: Collection[str] = LATE) -> Iterator[None]:
+def compiling(methods: Iterable[str]) -> Iterator[None]:
     """Compile the kernels on all cores in the background if none are compiled yet.
 
     One core would take minutes.
 
     Args:
-        late: names of methods to leave out.
+        methods: names of those whose kernels are compiled, too.
     """
     from dynaviz import kernels
     from dynaviz.contracts import registry
@@ -38,14 +34,13 @@ def compiling(late: Collection[str] = LATE) -> Iterator[None]:
     if kernels.compiled():
         yield
         return
+    methods = set(methods)
     print(kernels.COMPILING, file=sys.stderr, flush=True)
-    families: dict[
-        str, list[str]
-    ] = {}  # methods of one file share kernels; two cores would compile these twice
+    # methods of one module share kernels; two cores would compile these twice
+    families: dict[str, list[str]] = {}
     for handle in registry.handles("methods"):
-        if handle.name in late:
-            continue
-        families.setdefault(handle.target.partition(":")[0], []).append(handle.name)
+        if handle.name in methods:
+            families.setdefault(handle.target.partition(":")[0], []).append(handle.name)
     with ProcessPoolExecutor(mp_context=_SPAWN) as cores:
         # Errors are ignored here: they occur again, and are reported, when the kernel runs.
         cores.submit(_score)
@@ -55,19 +50,22 @@ def compiling(late: Collection[str] = LATE) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def compiling_the_rest() -> Iterator[None]:
-    """Compile on another core what casts rays, joins, scores and records, while this process runs a
-    method.
+def compiling_the_rest(method: str) -> Iterator[None]:
+    """Compile on another core what casts rays, scores and records, and what the method needs late,
+    while this process runs it.
 
     Nothing happens if any kernel is compiled already. The other process ends with this block at the
     latest.
+
+    Args:
+        method: its name; see ``dynaviz.contracts.method.CompilesAhead``.
     """
     from dynaviz import kernels
 
     if kernels.compiled():
         yield
         return
-    rest = _SPAWN.Process(target=_the_rest, daemon=True)
+    rest = _SPAWN.Process(target=_the_rest, args=(method,), daemon=True)
     rest.start()
     try:
         yield
@@ -92,7 +90,7 @@ def _label(names: list[str]) -> None:
             )
 
 
-def _the_rest() -> None:
+def _the_rest(name: str) -> None:
     """Compile until SIGTERM, which lets this process remove its files.
 
     Errors occur again where kernels are used.
@@ -103,37 +101,33 @@ def _the_rest() -> None:
         contextlib.redirect_stderr(io.StringIO()),
     ):
         _cast()
+        _ahead(name)
         _score()
 
 
 def _cast() -> None:
-    """Cast the rays of a scan, count its voxels and join its points.
-
-    Kernels that compile for long and come late.
-    """
-    import numpy as np
-
-    from dynaviz import kernels
+    """Cast the rays of a scan: kernels that compile for long and come late."""
     from dynaviz.arrays import all_finite
-    from dynaviz.blocks.blocks import VOXELS, BlockGrid
+    from dynaviz.blocks.blocks import BlockGrid
     from dynaviz.contracts.extent import Extent
     from dynaviz.testing import crossing
 
     (scan,) = crossing(1)
     grid = BlockGrid(Extent.of(scan), 0.2)
     chosen = all_finite(scan.points)
-    marks = grid.mark(scan, chosen, chosen)
-    near = kernels.clearance.grown(
-        np.zeros((len(marks.blocks) + 1, 8), np.uint64),
-        np.zeros((len(marks.blocks), 6), np.int32),
-        1,
-    )
-    counts = [np.zeros((len(grid) + 1, VOXELS), np.uint16) for _ in range(3)]
-    kernels.clearance.count(marks.blocks, marks.bits, near, *counts)
-    at = kernels.as_readonly(scan.position[:2], np.float64)
-    objects, cells, wider = kernels.clusters.cells_of(scan.points, chosen, at, 0.2, 0.05)
-    order = np.argsort(cells)
-    kernels.clusters.connect(objects, order, cells[order], wider)
+    grid.mark(scan, chosen, chosen)
+
+
+def _ahead(name: str) -> None:
+    """Compile what a method needs late, if it knows."""
+    from dynaviz.contracts import registry
+    from dynaviz.contracts.method import CompilesAhead
+    from dynaviz.testing import crossing
+
+    (scan,) = crossing(1)
+    method = registry.load("methods", name)
+    if issubclass(method, CompilesAhead):
+        method.compile_ahead(scan)
 
 
 def _score() -> None:
@@ -160,6 +154,23 @@ def _score() -> None:
         api.score(path, InMemory(scans), out=folder)
 
 
-if __name__ == "__main__":
-    with compiling(() if "--all" in sys.argv else LATE):
+def quick_to_compile() -> dict[str, Any]:
+    """The methods by name, without those that compile for long: they compile on first use."""
+    from dynaviz.contracts import registry
+
+    methods = registry.loadable("methods")
+    return {name: each for name, each in methods.items() if not each.info.compiles_long}
+
+
+def main() -> None:
+    """Compile the kernels of all methods with ``--all``, else of the quick ones."""
+    from dynaviz.contracts import registry
+
+    handles = registry.handles("methods")
+    every = "--all" in sys.argv
+    with compiling([each.name for each in handles] if every else quick_to_compile()):
         pass
+
+
+if __name__ == "__main__":
+    main()

@@ -17,7 +17,7 @@ from helpers.worlds import room
 
 from dynaviz.cleaning import BEST
 from dynaviz.contracts import registry
-from dynaviz.precompile import LATE
+from dynaviz.precompile import quick_to_compile
 from dynaviz.spatial import geometry
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -144,7 +144,7 @@ def test_no_instruction_installs_dynaviz_from_a_package_index() -> None:
 
 NUMBERS = {8: "eight", 9: "nine", 10: "ten", 11: "eleven", 12: "twelve", 13: "thirteen"}
 METHODS = registry.loadable("methods")
-IN_THE_DEMO = [name for name in METHODS if name not in LATE]
+IN_THE_DEMO = list(quick_to_compile())
 
 
 @pytest.mark.parametrize(

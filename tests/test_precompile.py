@@ -17,7 +17,7 @@ def test_the_process_in_the_background_ends_with_the_command(
     before, during = multiprocessing.active_children(), []
 
     def failing_command() -> None:
-        with precompile.compiling_the_rest():
+        with precompile.compiling_the_rest("seethrough"):
             during.extend(multiprocessing.active_children())
             raise UsageError("the command fails")
 

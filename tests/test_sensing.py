@@ -18,7 +18,7 @@ from dynaviz.engine.needs import suited
 from dynaviz.errors import DataError, UsageError
 from dynaviz.sources.sensing import estimate_sensor, sentence
 from dynaviz.testing.world import InMemory
-from dynaviz_methods.octomap import OctoMap, OctoMapParams
+from dynaviz_methods.octomap.method import OctoMap, OctoMapParams
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 
 

@@ -108,7 +108,7 @@ def clean(
     from dynaviz import cleaning
     from dynaviz.precompile import compiling_the_rest
 
-    with compiling_the_rest(), progress(f"clean {' '.join(sequence)}") as report:
+    with compiling_the_rest(method), progress(f"clean {' '.join(sequence)}") as report:
         cleaned = cleaning.clean(
             sequence if len(sequence) > 1 else sequence[0],
             out,

@@ -34,9 +34,8 @@ def demo(
     dynaviz demo -o out --no-view
     """
     from dynaviz import api
-    from dynaviz.contracts import registry
     from dynaviz.contracts.params import read_toml
-    from dynaviz.precompile import LATE, compiling
+    from dynaviz.precompile import compiling, quick_to_compile
     from dynaviz.scores.result import result_table
     from dynaviz.synthetic.simulate import simulate
 
@@ -46,8 +45,8 @@ def demo(
         facts
     ):  # from an earlier demo; never delete a user's data
         shutil.rmtree(folder)
-    names = [name for name in registry.loadable("methods") if name not in LATE]
-    with compiling(), progress("street") as report:
+    names = list(quick_to_compile())
+    with compiling(names), progress("street") as report:
         simulate("demo", folder, progress=lambda done, total: report("simulate", done, total))
     results = []
     for name in names:

@@ -55,7 +55,7 @@ def run(
         source = sequence if len(sequence) > 1 else sequence[0]
         opened = open_source(source, opening.without_refinement, progress=report)
     folder = out or Path("recordings") / opened.name / method
-    with compiling_the_rest(), progress(f"{method} on {opened.name}") as report:
+    with compiling_the_rest(method), progress(f"{method} on {opened.name}") as report:
         result = run_method(
             method,
             opened,

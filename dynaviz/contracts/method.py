@@ -73,6 +73,8 @@ class MethodInfo:
             if they are unknown.
         compares: whether "dynamic" means that a point changed between two drives, as its reason
             names.
+        colour: RGB, 0 to 255: its own in every figure; None for one that follows from the name.
+        compiles_long: whether its kernels compile so long that ``dynaviz demo`` leaves it out.
     """
 
     name: str
@@ -83,6 +85,8 @@ class MethodInfo:
     needs_map: bool = False
     uses: tuple[str, ...] = ()
     compares: bool = False
+    colour: tuple[int, int, int] | None = None
+    compiles_long: bool = False
 
     def __post_init__(self) -> None:
         if AT_SENSOR not in self.reasons:
@@ -228,4 +232,17 @@ class Tileable(Protocol):
 
     def halo(self) -> Halo:
         """What decides the labels in a tile, with these parameters."""
+        ...
+
+
+@runtime_checkable
+class CompilesAhead(Protocol):
+    """A method with kernels that compile for long and are called late in a run."""
+
+    @classmethod
+    def compile_ahead(cls, scan: Scan) -> None:
+        """Call these kernels with a scan, so that they are compiled and stored on disk.
+
+        The first run of all calls it in another process.
+        """
         ...

@@ -7,6 +7,8 @@ import numpy as np
 from numba import njit
 
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
+from dynaviz.kernels.disjoint_sets import root_of
+from dynaviz.kernels.hash_table import first_slot
 from dynaviz.kernels.keys import BITS, MASK, REACH, X_SHIFT, Y_SHIFT
 
 # columns of a remembered cell
@@ -16,28 +18,13 @@ LAST = 2
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _slot(key: np.int64, mask: int) -> np.int64:
-    """First slot of a key; four cells in a vertical row get adjacent slots, since neighbours are
-    looked up together.
+def _find(table, cells, key, group):
+    """The row of a cell, or the free row where it would be inserted.
+
+    Four cells in a vertical row get adjacent rows, since neighbours are looked up together.
     """
-    h = np.uint64(key >> 2) * np.uint64(0x9E3779B97F4A7C15)
-    h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
-    return (np.int64(h >> np.uint64(32)) << 2 | key & 3) & mask
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _root(parent: I32, label: int) -> int:
-    while parent[label] != label:
-        parent[label] = parent[parent[label]]
-        label = parent[label]
-    return label
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _find(table: I64, cells: I64, key: np.int64, group: np.int64) -> np.int64:
-    """The row of a cell, or the free row where it would be inserted."""
     mask = len(table) - 1
-    s = _slot(key, mask)
+    s = first_slot(key >> 2, mask >> 2) << 2 | key & 3
     while table[s] >= 0 and (table[s] != key or cells[s, GROUP] != group):
         s = (s + 1) & mask
     return s
@@ -116,8 +103,8 @@ def link(
                     s = _find(table, cells, key + step, group)
                     if table[s] < 0 or frame - cells[s, LAST] > gap:
                         continue
-                    a = _root(parent, case)
-                    b = _root(parent, cells[s, CASE])
+                    a = root_of(parent, case)
+                    b = root_of(parent, cells[s, CASE])
                     if a != b and _fits(low, high, a, b, limit):
                         keep = min(a, b)
                         gone = max(a, b)
@@ -125,7 +112,7 @@ def link(
                         for axis in range(3):
                             low[keep, axis] = min(low[keep, axis], low[gone, axis])
                             high[keep, axis] = max(high[keep, axis], high[gone, axis])
-        root = _root(parent, case)
+        root = root_of(parent, case)
         used += root == used
         fresh += not known
         table[own] = key
@@ -142,7 +129,7 @@ def roots(parent: I32, used: int) -> I32:
     """(used,) int32: the root of each case."""
     found = np.empty(used, np.int32)
     for label in range(used):
-        found[label] = _root(parent, label)
+        found[label] = root_of(parent, label)
     return found
 
 

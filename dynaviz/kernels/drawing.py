@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
+from dynaviz.kernels.hash_table import slot_of
 from dynaviz.kernels.keys import BITS, REACH
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -83,17 +84,6 @@ def _key(points, row, middle, inverse):
     return key
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _slot(key, mask):
-    """First slot of a key, mixed twice.
-
-    After one product, no bit depends on the axes in higher bits.
-    """
-    h = np.uint64(key) * GOLDEN
-    h = (h ^ (h >> np.uint64(32))) * GOLDEN
-    return np.int64(h >> np.uint64(32)) & mask
-
-
 @njit(cache=True, nogil=True)
 def in_new_voxels(slots, points, rows, middle, size):
     """Insert the voxels of points into a set, and find the first point of each new one.
@@ -112,16 +102,13 @@ def in_new_voxels(slots, points, rows, middle, size):
     kept = np.empty(len(rows), np.int64)
     count = 0
     last = np.int64(-1)
-    mask = len(slots) - 1
     inverse = 1.0 / size
     for row in rows:
         key = _key(points, row, middle, inverse)
         if key == last:  # neighbours in a scan mostly share a voxel
             continue
         last = key
-        s = _slot(key, mask)
-        while slots[s] >= 0 and slots[s] != key:
-            s = (s + 1) & mask
+        s = slot_of(slots, key)
         if slots[s] < 0:
             slots[s] = key
             kept[count] = row
@@ -148,7 +135,6 @@ def downsampled(points, rows, middle, size):
     chosen = np.empty(len(rows), np.int64)
     counts = np.empty(len(rows), np.int64)
     count = 0
-    mask = room - 1
     inverse = 1.0 / size
     last = np.int64(-1)
     owner = 0
@@ -156,9 +142,7 @@ def downsampled(points, rows, middle, size):
         key = _key(points, row, middle, inverse)
         if key != last:
             last = key
-            s = _slot(key, mask)
-            while slots[s] >= 0 and slots[s] != key:
-                s = (s + 1) & mask
+            s = slot_of(slots, key)
             if slots[s] < 0:
                 slots[s] = key
                 owners[s] = count

@@ -32,6 +32,7 @@ from dynaviz.kernels.addresses import (
     Y,
     Z,
 )
+from dynaviz.kernels.scratch import slot_of_block
 
 REACH = 1 << 15  # voxels to each side of the world's origin
 ONE = 1 << 52
@@ -74,19 +75,6 @@ def _passed(time, first, period):
 def _ahead(k, step, last):
     """Number of voxel borders before the one that leaves a cube of last + 1 voxels."""
     return last - (k & last) if step > 0 else k & last
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _slot(slots, owners, masks, used, block):
-    """The scratch memory of a block in this scan; allocated and cleared on first use."""
-    slot = slots[block]
-    if slot == 0:
-        used += 1
-        slot = used
-        slots[block] = slot
-        owners[slot] = block
-        masks[slot] = 0
-    return slot, used
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -147,7 +135,7 @@ def _walk(along_x, along_y, along_z, time, base, shape, top, children, slots, ow
                         tz = fz + nz * pz
                         i = (kx + sx * nx & 7) << 6 | (ky + sy * ny & 7) << 3 | (kz + sz * nz & 7)
                         here = True
-                    slot, used = _slot(slots, owners, masks, used, block - 1)
+                    slot, used = slot_of_block(slots, owners, masks, used, block - 1)
                     t = min(tx, min(ty, tz))
                     while (
                         t < limit
@@ -338,7 +326,7 @@ def _mark_lane(
                 row = top[((x >> 7) * shape[1] + (y >> 7)) * shape[2] + (z >> 7)]
                 block = children[row, (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15)]
                 if block:
-                    slot, count = _slot(slots, owners, masks, count, block - 1)
+                    slot, count = slot_of_block(slots, owners, masks, count, block - 1)
                     masks[slot, 8 + (x & 7)] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
     return count
 
@@ -395,7 +383,9 @@ def gather(base, shape, top, children, slots, owners, masks, used, centre, bits,
                 row = top[(jx * shape[1] + jy) * shape[2] + jz]
                 block = children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]
                 if block:
-                    slot, count = _slot(slots[lane], owners[lane], masks[lane], count, block - 1)
+                    slot, count = slot_of_block(
+                        slots[lane], owners[lane], masks[lane], count, block - 1
+                    )
                     for w in range(8):
                         masks[lane, slot, w] |= np.int64(bits[lane, n, w])
             bits[lane, n] = 0

@@ -6,16 +6,11 @@ import numpy as np
 from numba import njit
 
 from dynaviz.arrays import F32, F64, I64, Bool
+from dynaviz.kernels.hash_table import first_slot, slot_of
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 _SIDE = 1024  # columns along a side; the picture wraps around, so a scan may lie anywhere
 _REACHED = 512  # the same, of the columns near points
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _slot(key: np.int64, mask: int) -> np.int64:
-    # The highest bits of the product depend on all of the key, x included.
-    return np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(40)) & mask
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -37,7 +32,7 @@ def _any_around(table: I64, key: np.int64) -> bool:
         for dy in range(-1, 2):
             for dz in range(-1, 2):
                 near = key + (np.int64(dx) << X_SHIFT) + (np.int64(dy) << Y_SHIFT) + np.int64(dz)
-                s = _slot(near, mask)
+                s = first_slot(near, mask)
                 while table[s] >= 0:
                     if table[s] == near:
                         return True
@@ -61,17 +56,13 @@ def cells(points: F32, chosen: Bool, others: Bool, size: float) -> Bool:
     while length < 2 * others.sum():
         length *= 2
     table = np.full(length, np.int64(-1))
-    mask = length - 1
     last = np.int64(-1)
     for i in range(len(points)):
         if others[i]:
             key = _key(points[i, 0] * inverse, points[i, 1] * inverse, points[i, 2] * inverse)
             if key >= 0 and key != last:  # consecutive points often share a cell
                 last = key
-                s = _slot(key, mask)
-                while table[s] >= 0 and table[s] != key:
-                    s = (s + 1) & mask
-                table[s] = key
+                table[slot_of(table, key)] = key
     last = np.int64(-1)
     answer = False
     for i in range(len(points)):

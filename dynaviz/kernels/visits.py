@@ -5,23 +5,13 @@ import math
 import numpy as np
 from numba import njit
 
+from dynaviz.kernels.hash_table import slot_of
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 # columns of a cell
 FIRST = 0
 LAST = 1
 FRAMES = 2
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _slot(keys, key):
-    """The slot of a key in a table whose size is a power of two, or the free slot for it."""
-    mask = len(keys) - 1
-    # The highest bits of the product depend on all of the key, x included.
-    s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(40)) & mask
-    while keys[s] >= 0 and keys[s] != key:
-        s = (s + 1) & mask
-    return s
 
 
 @njit(cache=True, nogil=True)
@@ -56,7 +46,7 @@ def visit(points, begin, step, frame, size, keys, visits, used):
         key = (x + REACH) << X_SHIFT | (y + REACH) << Y_SHIFT | (z + REACH)
         if key == last:  # consecutive points often share a cell
             continue
-        s = _slot(keys, key)
+        s = slot_of(keys, key)
         last = key
         if keys[s] < 0:
             if 2 * used >= len(keys):
@@ -79,7 +69,7 @@ def grow(keys, visits, size):
     kept = np.empty((size, 3), np.int32)
     for i in range(len(keys)):
         if keys[i] >= 0:
-            s = _slot(more, keys[i])
+            s = slot_of(more, keys[i])
             more[s] = keys[i]
             for column in range(3):
                 kept[s, column] = visits[i, column]

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from dynaviz.arrays import F32, I64, Bool
+from dynaviz.kernels.hash_table import slot_of
 from dynaviz.kernels.keys import BITS, REACH
 
 Keys = I64
@@ -30,17 +31,6 @@ def pack(points: F32, size: float) -> tuple[Keys, bool]:
     return keys, True
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _slot(key: np.int64, mask: int) -> np.int64:
-    """First slot of a key, mixed twice.
-
-    After one product, no bit depends on the axes in higher bits.
-    """
-    h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
-    return np.int64(h >> np.uint64(32)) & mask
-
-
 @njit(cache=True, nogil=True)
 def insert(slots: Keys, keys: Keys) -> Bool:
     """Insert keys (N,) into a table whose size is a power of two (-1: free).
@@ -48,11 +38,8 @@ def insert(slots: Keys, keys: Keys) -> Bool:
     Return (N,) bool, True for new keys.
     """
     new = np.zeros(len(keys), np.bool_)
-    mask = len(slots) - 1
     for i in range(len(keys)):
-        s = _slot(keys[i], mask)
-        while slots[s] >= 0 and slots[s] != keys[i]:
-            s = (s + 1) & mask
+        s = slot_of(slots, keys[i])
         if slots[s] < 0:
             slots[s] = keys[i]
             new[i] = True
@@ -63,11 +50,7 @@ def insert(slots: Keys, keys: Keys) -> Bool:
 def rehash(slots: Keys, size: int) -> Keys:
     """The same set in a table of another size, a power of two."""
     bigger = np.full(size, np.int64(-1))
-    mask = size - 1
     for i in range(len(slots)):
         if slots[i] >= 0:
-            s = _slot(slots[i], mask)
-            while bigger[s] >= 0:
-                s = (s + 1) & mask
-            bigger[s] = slots[i]
+            bigger[slot_of(bigger, slots[i])] = slots[i]
     return bigger

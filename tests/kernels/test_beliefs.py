@@ -10,7 +10,9 @@ from scipy.spatial import cKDTree
 from dynaviz import kernels
 from dynaviz.blocks.blocks import VOXELS, voxels_of
 from dynaviz.contracts.extent import CELL, Extent
-from dynaviz_methods.belief_map import BeliefMap
+from dynaviz_methods.hmm_mos.belief_map import BeliefMap
+
+KERNELS = kernels.load("dynaviz_methods.hmm_mos.kernels")
 
 pytestmark = pytest.mark.boundscheck
 
@@ -65,11 +67,11 @@ def test_voxels_expire_in_their_scan_and_blocks_without_old_ones_are_skipped():
     seen = random.integers(0, 30, (40, VOXELS)).astype(np.int32)
     bits = (random.random((40, VOXELS)) < 0.02) & (seen > 0)
     known = np.packbits(bits.reshape(40, 8, 64), -1, "little").view(np.uint64).reshape(40, 8)
-    never = kernels.beliefs.NEVER
+    never = KERNELS.beliefs.NEVER
     first = np.where(bits, seen, never).min(1).astype(np.int32)
     blocks = np.arange(40, dtype=np.int32)
     for oldest in (3, 4, 11, 30):
-        kernels.beliefs.expire(blocks, oldest, seen, known, first)
+        KERNELS.beliefs.expire(blocks, oldest, seen, known, first)
         bits &= seen > oldest
         np.testing.assert_array_equal(
             np.unpackbits(known.view(np.uint8), bitorder="little").reshape(40, -1), bits
@@ -77,7 +79,7 @@ def test_voxels_expire_in_their_scan_and_blocks_without_old_ones_are_skipped():
         np.testing.assert_array_equal(first, np.where(bits, seen, never).min(1))
     assert (first == never).all()
     known[0, 0], first[0] = 1, 31
-    kernels.beliefs.expire(blocks, 30, seen, known, first)
+    KERNELS.beliefs.expire(blocks, 30, seen, known, first)
     assert known[0, 0] == 1, "a block was searched that can contain no old voxel"
 
 
@@ -116,7 +118,7 @@ def test_the_number_of_looks_that_change_a_state(squared):
     def compiled(start, goal):
         occupied, remembered = start[0][1], start[1] > 0
         for n in range(1, 60):
-            occupied, free = kernels.beliefs._filtered(
+            occupied, free = KERNELS.beliefs._filtered(
                 occupied, remembered, np.exp(-squared / 2), 0.005
             )
             remembered = True

@@ -9,7 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynaviz import kernels
-from dynaviz_methods.range_images import image_views, slices, whole
+from dynaviz_methods.shared.range_images import image_views, slices, whole
+
+SHARED = kernels.load("dynaviz_methods.shared.kernels")
 
 pytestmark = pytest.mark.boundscheck
 
@@ -81,7 +83,7 @@ def test_pixels_are_those_of_double_precision(span, turn, clamp):
                 np.empty(1024, np.float32),
                 np.empty((3, 1024), np.float32),
             )
-            kernels.range_image._project(xyz, first, last, position, axes, views, clamp, *buffers)
+            SHARED.range_image._project(xyz, first, last, position, axes, views, clamp, *buffers)
             found[first:last] = buffers[0][k, : last - first]
         np.testing.assert_array_equal(found, expected)
 
@@ -98,7 +100,7 @@ def test_the_nearest_point_of_a_pixel_wins_and_the_first_of_equals(lanes):
         kernels.as_readonly(np.eye(3), np.float64),
     )
     camera, least = (position, axes, views, False), np.float32(3)
-    ranges, indices = kernels.range_image.nearest(xyz, *whole(xyz.shape[1]), *camera, lanes, least)
+    ranges, indices = SHARED.range_image.nearest(xyz, *whole(xyz.shape[1]), *camera, lanes, least)
     distance = np.linalg.norm(xyz.astype(np.float64), axis=0)
     expected = np.full(len(indices), -1)
     for view in views:
@@ -121,7 +123,7 @@ def test_an_empty_cloud_makes_an_empty_image():
         views,
         False,
     )
-    ranges, indices = kernels.range_image.nearest(
+    ranges, indices = SHARED.range_image.nearest(
         kernels.as_readonly(np.empty((3, 0)), np.float32), *whole(0), *camera, 2, np.float32(0)
     )
     assert np.isinf(ranges).all()

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from dynaviz import kernels
 
+KERNELS = kernels.load("dynaviz_methods.dynablox.kernels")
+
 pytestmark = pytest.mark.boundscheck
 
 SIZE, TRUNCATION, ROWS, COLUMNS = 0.1, 0.4, 32, 512
@@ -29,7 +31,7 @@ def updated(blocks, position, axes, image) -> np.ndarray:
     state = np.zeros(512 * len(blocks), np.float32), np.zeros(512 * len(blocks), np.uint16)
     active = np.arange(len(blocks), dtype=np.int32)
     camera = position, axes, offsets, VIEW, image
-    kernels.signed_distance.integrate(
+    KERNELS.signed_distance.integrate(
         active, blocks, SIZE, *camera, TRUNCATION, 0.3, 1000, *voxels, *state, *bits, 1
     )
     return bits[2]
@@ -48,9 +50,9 @@ def test_blocks_out_of_view_have_no_voxels_that_the_image_updates(seed):
         random.random((ROWS, COLUMNS)) < 0.1, 0, np.kron(coarse, np.ones((4, 16)))
     ).astype(np.float32)
     pixels = np.arange(ROWS * COLUMNS, dtype=np.int32)
-    image = kernels.signed_distance.image(pixels, ranges.ravel(), ROWS, COLUMNS)
-    table = kernels.signed_distance.farthest(image, ROWS, COLUMNS)
-    seen = kernels.signed_distance.in_view(
+    image = KERNELS.signed_distance.image(pixels, ranges.ravel(), ROWS, COLUMNS)
+    table = KERNELS.signed_distance.farthest(image, ROWS, COLUMNS)
+    seen = KERNELS.signed_distance.in_view(
         blocks, np.arange(len(blocks)), 8 * SIZE, position, axes, VIEW, table, TRUNCATION
     )
     changes = updated(blocks, position, axes, image).any(1)
@@ -61,7 +63,7 @@ def test_blocks_out_of_view_have_no_voxels_that_the_image_updates(seed):
 @pytest.mark.parametrize("columns", [1, 5, 40])
 def test_the_farthest_ranges_of_the_next_pixels_wrap_around(columns):
     image = np.random.default_rng(0).random((3, columns)).astype(np.float32)
-    table = kernels.signed_distance.farthest(image.ravel(), 3, columns).reshape(-1, 3, columns)
+    table = KERNELS.signed_distance.farthest(image.ravel(), 3, columns).reshape(-1, 3, columns)
     for k, found in enumerate(table):
         np.testing.assert_array_equal(
             found, np.max([np.roll(image, -n, axis=1) for n in range(1 << k)], axis=0)
@@ -73,7 +75,7 @@ def test_pixels_are_those_of_angles_in_float64(columns):
     random = np.random.default_rng(0)
     points = random.normal(size=(20_000, 3)).astype(np.float32)
     view = np.array([32, columns, np.radians(20), 31 / np.radians(40), columns / (2 * np.pi)])
-    pixels, _, inside = kernels.signed_distance.pixels(
+    pixels, _, inside = KERNELS.signed_distance.pixels(
         points, np.zeros(3), np.eye(3), 0.1, 90.0, view
     )
     x, y, z = points.T.astype(np.float64)

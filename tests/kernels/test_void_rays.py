@@ -6,7 +6,7 @@ import pytest
 from dynaviz import kernels
 from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.scan import Scan
-from dynaviz_methods.voids import VoidGrid, VoidMarks
+from dynaviz_methods.dufomap.voids import VoidGrid, VoidMarks
 
 pytestmark = pytest.mark.boundscheck
 

@@ -18,8 +18,10 @@ from dynaviz.kernels.keys import REACH
 from dynaviz.spatial import geometry
 from dynaviz.spatial.grid import in_key_range, pack, unpack, voxel_downsample
 from dynaviz.spatial.nearest import Nearest, nearest_distance
-from dynaviz_methods.polar import PolarBins
-from dynaviz_methods.range_images import image_views, slices, whole
+from dynaviz_methods.erasor.polar import PolarBins
+from dynaviz_methods.shared.range_images import image_views, slices, whole
+
+SHARED = kernels.load("dynaviz_methods.shared.kernels")
 
 pytestmark = pytest.mark.boundscheck
 
@@ -339,7 +341,7 @@ AT, AXES = (
 
 def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
     xyz, camera = kernels.as_readonly(points.T, np.float32), (AT, AXES, VIEWS, False)
-    return kernels.range_image.nearest(xyz, *whole(len(points)), *camera, lanes, np.float32(0))
+    return SHARED.range_image.nearest(xyz, *whole(len(points)), *camera, lanes, np.float32(0))
 
 
 def rays(view: Any, ranges: Any) -> Any:

@@ -14,7 +14,7 @@ from dynaviz.contracts.method import Context
 from dynaviz.contracts.probe import SILENT, MemoryProbe
 from dynaviz.contracts.scan import Scan
 from dynaviz.testing.world import moved, turn
-from dynaviz_methods.beautymap import BeautyMap, BeautyMapParams
+from dynaviz_methods.beautymap.method import BeautyMap, BeautyMapParams
 
 pytestmark = pytest.mark.boundscheck
 
@@ -353,7 +353,7 @@ def test_labels_do_not_depend_on_the_memory_layout_of_the_map():
 def test_labels_do_not_depend_on_the_parts_in_which_a_map_is_encoded(threads, monkeypatch):
     scans = yard(3)
     expected = [run(scans).label(s).reasons for s in scans]
-    monkeypatch.setattr("dynaviz_methods.beautymap.CHUNK", 997)
+    monkeypatch.setattr("dynaviz_methods.beautymap.method.CHUNK", 997)
     before = kernels.threads_in_use()
     kernels.set_threads(threads)
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz_methods.beautymap import BeautyMap
+from dynaviz_methods.beautymap.method import BeautyMap
 
 
 def test_every_label_on_a_street_matches_the_public_program(mini):

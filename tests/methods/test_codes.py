@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz_methods.codes import pack_codes, unpack_codes
+from dynaviz_methods.shared.codes import pack_codes, unpack_codes
 
 
 @pytest.mark.parametrize("n", [0, 1, 16, 33])

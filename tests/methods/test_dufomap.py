@@ -13,7 +13,7 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.probe import SILENT, MemoryProbe, Voxels
 from dynaviz.contracts.scan import Scan
-from dynaviz_methods.dufomap import DufoMap, DufoMapParams
+from dynaviz_methods.dufomap.method import DufoMap, DufoMapParams
 
 pytestmark = pytest.mark.boundscheck
 

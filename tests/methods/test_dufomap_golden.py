@@ -7,7 +7,7 @@ import pytest
 
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
-from dynaviz_methods.dufomap import DufoMap
+from dynaviz_methods.dufomap.method import DufoMap
 
 FAR = 50.0  # metres, as in the public program's example
 

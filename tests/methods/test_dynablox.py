@@ -17,7 +17,8 @@ from dynaviz.contracts.probe import SILENT, MemoryProbe
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import UsageError
-from dynaviz_methods.dynablox import (
+from dynaviz_methods.dynablox.free_space import SensorView
+from dynaviz_methods.dynablox.method import (
     BESIDE,
     FREE,
     FREE_LARGE,
@@ -31,7 +32,6 @@ from dynaviz_methods.dynablox import (
     DynabloxParams,
     view_of,
 )
-from dynaviz_methods.free_space import SensorView
 
 pytestmark = pytest.mark.boundscheck
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from dynaviz_methods.dynablox import Dynablox
+from dynaviz_methods.dynablox.method import Dynablox
 
 
 @pytest.mark.parametrize(

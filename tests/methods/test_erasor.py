@@ -17,9 +17,9 @@ from dynaviz.contracts.probe import SILENT, MemoryProbe
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz_methods import tiles
-from dynaviz_methods.erasor import REASONS, Erasor, ErasorParams
-from dynaviz_methods.tiles import laid_out, thinned
+from dynaviz_methods.erasor.method import REASONS, Erasor, ErasorParams
+from dynaviz_methods.shared import tiles
+from dynaviz_methods.shared.tiles import laid_out, thinned
 
 pytestmark = pytest.mark.boundscheck
 

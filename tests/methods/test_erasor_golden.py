@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from dynaviz.contracts.params import resolve
 from dynaviz.io.pcd import read_pcd
-from dynaviz_methods.erasor import Erasor
+from dynaviz_methods.erasor.method import Erasor
 
 PUBLISHED = {"mini": (89.65, 26.58), "kitti_tracking_0012": (97.90, 80.86)}  # SA and DA
 OURS = {"mini": (97.68, 28.76), "kitti_tracking_0012": (99.98, 79.97)}

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dynaviz_methods.filters import ground_plane, outliers
+from dynaviz_methods.octomap.filters import ground_plane, outliers
 
 pytestmark = pytest.mark.boundscheck
 

@@ -17,8 +17,8 @@ from dynaviz.contracts.probe import SILENT, MemoryProbe
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz_methods.freedom import REASONS, Freedom, FreedomParams, image_of
-from dynaviz_methods.sky import DepthImage
+from dynaviz_methods.freedom.method import REASONS, Freedom, FreedomParams, image_of
+from dynaviz_methods.shared.sky import DepthImage
 
 pytestmark = pytest.mark.boundscheck
 

@@ -10,7 +10,7 @@ import pytest
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.params import resolve
-from dynaviz_methods.freedom import Freedom
+from dynaviz_methods.freedom.method import Freedom
 
 FEW = 10  # frames of the real sequence
 

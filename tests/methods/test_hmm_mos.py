@@ -14,7 +14,7 @@ from dynaviz.contracts.method import Context
 from dynaviz.contracts.params import resolve
 from dynaviz.contracts.probe import SILENT, MemoryProbe
 from dynaviz.contracts.scan import Scan
-from dynaviz_methods.hmm_mos import CLASS, REASONS, HmmMos, HmmMosParams
+from dynaviz_methods.hmm_mos.method import CLASS, REASONS, HmmMos, HmmMosParams
 
 pytestmark = pytest.mark.boundscheck
 

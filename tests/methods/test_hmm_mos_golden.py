@@ -8,7 +8,7 @@ import pytest
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.params import resolve
-from dynaviz_methods.hmm_mos import HmmMos
+from dynaviz_methods.hmm_mos.method import HmmMos
 
 FEW = 12  # frames of the real sequence; the method is online, so later frames do not change them
 

@@ -13,7 +13,7 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.probe import SILENT, Mask, MemoryProbe, Plane, Voxels
 from dynaviz.contracts.scan import Scan
-from dynaviz_methods.octomap import OctoMap, OctoMapG, OctoMapGF, OctoMapParams
+from dynaviz_methods.octomap.method import OctoMap, OctoMapG, OctoMapGF, OctoMapParams
 
 pytestmark = pytest.mark.boundscheck
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz_methods.octomap import OctoMap, OctoMapG, OctoMapGF
+from dynaviz_methods.octomap.method import OctoMap, OctoMapG, OctoMapGF
 
 
 @pytest.mark.slow

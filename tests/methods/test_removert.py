@@ -16,8 +16,10 @@ from dynaviz.contracts.probe import SILENT, MemoryProbe
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz_methods.range_images import image_views, picture, whole
-from dynaviz_methods.removert import REASONS, Removert, RemovertParams
+from dynaviz_methods.removert.method import REASONS, Removert, RemovertParams
+from dynaviz_methods.shared.range_images import image_views, picture, whole
+
+SHARED = kernels.load("dynaviz_methods.shared.kernels")
 
 pytestmark = pytest.mark.boundscheck
 
@@ -288,7 +290,7 @@ def test_pictures_have_up_at_the_top_and_left_on_the_left():
         False,
     )
     xyz = kernels.as_readonly(points.T, np.float32)
-    flat, _ = kernels.range_image.nearest(xyz, *whole(len(points)), *camera, 1, np.float32(0))
+    flat, _ = SHARED.range_image.nearest(xyz, *whole(len(points)), *camera, 1, np.float32(0))
     image = picture(flat, views[0]).ranges
     assert image.shape == (20, 180)
     rows, columns = np.nonzero(~np.isnan(image))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dynaviz_methods.removert import Removert
+from dynaviz_methods.removert.method import Removert
 
 PUBLISHED = {"mini": (97.02, 37.78), "kitti_tracking_0012": (99.71, 19.89)}  # SA and DA
 

@@ -38,6 +38,9 @@ from dynaviz_methods.seethrough.method import (
     _spacing,
 )
 
+KERNELS = kernels.load("dynaviz_methods.seethrough.kernels")
+SHARED = kernels.load("dynaviz_methods.shared.kernels")
+
 pytestmark = pytest.mark.boundscheck
 
 
@@ -212,7 +215,7 @@ def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
         "least": 0.12,
     }
     case |= change
-    ways = kernels.places.WAYS
+    ways = KERNELS.places.WAYS
     outline = np.abs(ways) @ [2.0, 1.0]
     reach = np.array(
         [outline, outline, 2 * outline, outline + ways @ [case["shift"], 0.0], outline], np.float32
@@ -239,7 +242,7 @@ def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
         np.zeros_like(evidence),
         0.5,
     )
-    result = kernels.places.moved(
+    result = KERNELS.places.moved(
         *tracks, reach, 0.3, case["steps"], case["least"], centres, *of_places
     )
     assert result.tolist() == [found, False, False, found, False]
@@ -306,7 +309,7 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
         random.integers(0, most, (3, 512)).astype(np.uint16) for most in (6, 5, 4)
     )
     up = random.integers(0, 2**63, (3, 8)).astype(np.uint64)
-    found = kernels.places.evidence(
+    found = KERNELS.places.evidence(
         np.arange(-1, 12, dtype=np.int32), up, hits, clear, grazed, (0.3, 0.12, 3.0, 0.2)
     )
     assert found[0] == 0
@@ -337,7 +340,7 @@ def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
         np.array([0.0, -1.0, 0.1, 0.0], np.float32),
     )
     places, begins = np.arange(4, dtype=np.int32), np.array([0, 2, 3, 4, 4])
-    certain = kernels.places.certainties(places, begins, own, shared, 0.5, 1 / 3)
+    certain = KERNELS.places.certainties(places, begins, own, shared, 0.5, 1 / 3)
     mean = (1.0 * 2.0 - 0.3 * 1.3) / (2.0 + 1.3)
     np.testing.assert_allclose(certain, [mean, 0.0, -0.6, 0.0], atol=1e-6)
 
@@ -353,7 +356,7 @@ def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
     places, scans = (np.array([each[of] for each in visits], np.int32) for of in (0, 1))
     certain, numbers = np.array([each[2] for each in visits]), np.arange(3, dtype=np.int32)
     firsts = np.searchsorted(scans, np.arange(4))
-    shared, source = kernels.places.share(firsts, numbers, places, np.arange(6), certain, 8)
+    shared, source = KERNELS.places.share(firsts, numbers, places, np.arange(6), certain, 8)
     np.testing.assert_allclose(shared, [0, 0, 1 / 3, 0, 0, -0.125, 0, 0], atol=1e-6)
     assert source.tolist() == [-1, -1, 2, -1, -1, 1, -1, -1]
 
@@ -374,7 +377,7 @@ def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(
     clear = (np.full((1, 512), n, np.uint16) for n in (1, 3, 0))
     of_points = np.array([0]), np.array([2], np.uint8)
     of_places = np.ones(4, np.int32), np.float32([0, own]), np.float32([0, shared]), 0.5
-    codes = kernels.places.outcomes(*of_points, *of_places, *clear, (0.5, 0.12, 3.0, 0.1), BY_PLACE)
+    codes = KERNELS.places.outcomes(*of_points, *of_places, *clear, (0.5, 0.12, 3.0, 0.1), BY_PLACE)
     assert codes.tolist() == [reason]
 
 
@@ -466,7 +469,7 @@ def test_objects_continue_those_with_which_they_share_most(
     objects = [each for scan in (scans[::-1] if back else scans) for each in (scan, [9])]
     at, found = np.cumsum([0, *map(len, objects)]), np.zeros(8, np.bool_)
     found[6 if back else 0] = True
-    kernels.places.follow(np.array([0, 2, 4, 6, 8]), at, np.concatenate(objects), 10, found, back)
+    KERNELS.places.follow(np.array([0, 2, 4, 6, 8]), at, np.concatenate(objects), 10, found, back)
     assert found[[6, 4, 2, 0] if back else [0, 2, 4, 6]].tolist() == [True, True, *dynamic]
     assert not found[1::2].any()
 
@@ -476,7 +479,7 @@ def followed(scans: list[list[list[int]]], dynamic: list[bool]) -> list[bool]:
     objects = [each for scan in scans for each in scan]
     firsts, at = (np.cumsum([0, *map(len, each)]) for each in (scans, objects))
     columns, found = np.concatenate(objects), np.array(dynamic)
-    kernels.places.follow(firsts, at, columns, columns.max() + 1, found, False)
+    KERNELS.places.follow(firsts, at, columns, columns.max() + 1, found, False)
     return found.tolist()
 
 
@@ -598,7 +601,7 @@ def test_near_voxels_are_a_dilation(seed: int, times: int) -> None:
 
 @pytest.mark.plain
 def test_counts_stop_at_their_maximum() -> None:
-    most = kernels.clearance.MOST
+    most = SHARED.clearance.MOST
     blocks, bits, near = (
         np.zeros(1, np.int32),
         np.zeros((1, 16), np.int64),
@@ -610,7 +613,7 @@ def test_counts_stop_at_their_maximum() -> None:
         np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, most - 1)
     )
     hits[0, 0] = clear[0, 1] = grazed[0, 3] = most
-    kernels.clearance.count(blocks, bits, near, hits, clear, grazed)
+    SHARED.clearance.count(blocks, bits, near, hits, clear, grazed)
     assert hits[0, :6].tolist() == [most, most - 1, most - 1, most - 1, most, most - 1]
     assert clear[0, :6].tolist() == [most - 1, most, most - 1, most - 1, most - 1, most]
     assert grazed[0, :6].tolist() == [most - 1, most - 1, most, most, most - 1, most - 1]
@@ -649,7 +652,7 @@ def test_rays_begin_where_they_leave_those_to_voxels_near_their_end() -> None:
     begins = [
         (0.0, 0.25, 0.5, 1.0)[sum(cube[k] in cube[:k] for cube in cubes)] for k in range(len(goals))
     ]
-    assert kernels.clearance.begins(goals, scratch).tolist() == begins
+    assert SHARED.clearance.begins(goals, scratch).tolist() == begins
     assert set(begins) == {0.0, 0.25, 0.5, 1.0}
     assert not scratch.any()
 
@@ -673,9 +676,9 @@ def test_few_origins_cast_the_same_rays_as_many() -> None:
 def joined(
     points: np.ndarray, chosen: np.ndarray, sensor: np.ndarray, voxel: float, angle: float
 ) -> np.ndarray:
-    objects, keys, wider = kernels.clusters.cells_of(points, chosen, sensor, voxel, angle)
+    objects, keys, wider = KERNELS.objects.cells_of(points, chosen, sensor, voxel, angle)
     order = np.argsort(keys)
-    count = kernels.clusters.connect(objects, order, keys[order], wider)
+    count = KERNELS.objects.connect(objects, order, keys[order], wider)
     assert (objects[~chosen] == -1).all()
     assert set(objects[chosen]) == set(range(count))
     return objects

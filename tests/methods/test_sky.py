@@ -20,7 +20,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 from dynaviz_methods.seethrough.clear_grid import ClearGrid, _by_sensor, _distinct
-from dynaviz_methods.sky import _nearest, sensor_image
+from dynaviz_methods.shared.sky import _nearest, sensor_image
 
 SENSOR = Sensor(rings=65, elevation=(-32.0, 32.0))
 

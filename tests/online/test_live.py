@@ -20,6 +20,8 @@ from dynaviz.online.session import LiveSession, Settings
 from dynaviz.testing.checks import ask
 from dynaviz.testing.world import SENSOR, crossing, turn
 
+KERNELS = kernels.load("dynaviz_methods.dynablox.kernels")
+
 
 def session(method: str, reach: float = 100.0, keep: int = 20) -> LiveSession:
     kind = registry.load("methods", method)
@@ -226,9 +228,9 @@ def test_kernels_that_need_dynamic_points_are_compiled_before_the_first_scan(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     calls = []
-    grow = kernels.clusters.grow
+    grow = KERNELS.clusters.grow
     monkeypatch.setattr(
-        kernels.clusters, "grow", lambda *given: calls.append(grow(*given)) or calls[-1]
+        KERNELS.clusters, "grow", lambda *given: calls.append(grow(*given)) or calls[-1]
     )
     dv.live("dynablox", sensor="hdl64e", reach=30)
     assert len(calls) > 0, "clusters grow only from points in ever-free space"

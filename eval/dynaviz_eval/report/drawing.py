@@ -11,7 +11,8 @@ import zlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from dynaviz.colours import METHODS, method_colour, web
+from dynaviz.colours import method_colour, web
+from dynaviz.contracts import registry
 from dynaviz.errors import MissingDependency
 
 if TYPE_CHECKING:
@@ -70,8 +71,8 @@ def mark(method: str) -> dict[str, Any]:
 
 
 def _number(method: str) -> int:
-    """A number for each method; different ones for the known methods."""
-    known = list(METHODS)
+    """A number for each method; different ones for those that come with dynaviz."""
+    known = [each.name for each in registry.handles("methods") if each.distribution == "dynaviz"]
     return known.index(method) if method in known else zlib.crc32(method.encode())
 
 

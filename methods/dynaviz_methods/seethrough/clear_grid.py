@@ -15,7 +15,9 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.grid import KeySet, in_key_range, pack, pack_indices, unpack
 from dynaviz.spatial.scan_ground import EDGE, REACH
-from dynaviz_methods.sky import sensor_image
+from dynaviz_methods.shared.sky import sensor_image
+
+SHARED = kernels.load("dynaviz_methods.shared.kernels")
 
 # up to so many origins are those of sensors whose scans were merged; more are those of one that
 # moves
@@ -85,7 +87,7 @@ class ClearGrid(BlockGrid):
         goals = (
             voxels[inside]
             if moves
-            else kernels.voids.distinct(voxels, inside, self._once)[:: self._order]
+            else SHARED.voids.distinct(voxels, inside, self._once)[:: self._order]
         )
         goals = kernels.as_readonly(goals, np.int64)
         known = kernels.blocks.centres_of(goals, self._blocks, self.resolution)
@@ -94,7 +96,7 @@ class ClearGrid(BlockGrid):
         first = (
             np.zeros(len(goals), np.float32)
             if moves
-            else kernels.clearance.begins(goals, self._once)
+            else SHARED.clearance.begins(goals, self._once)
         )
         begins = np.concatenate([first, later, np.zeros(len(sky), np.float32)])
         origins = scan.origins[:1]
@@ -146,10 +148,10 @@ class ClearGrid(BlockGrid):
         These are the hits of this scan and of the one before, for which this was called last. The
         cubes extend into adjacent blocks only if these are marked, too.
         """
-        sides = kernels.clearance.adjacent(marks.blocks, self._rows, self._blocks, *self._place)
-        padded = kernels.clearance.of_two_scans(marks.blocks, marks.bits, self._before, self._last)
+        sides = SHARED.clearance.adjacent(marks.blocks, self._rows, self._blocks, *self._place)
+        padded = SHARED.clearance.of_two_scans(marks.blocks, marks.bits, self._before, self._last)
         self._last = marks.blocks
-        grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
+        grown: U64 = SHARED.clearance.grown(padded, sides, times)[:-1]
         return grown
 
 

@@ -13,6 +13,8 @@ from dynaviz.blocks.blocks import BlockGrid
 from dynaviz.kernels.keys import REACH, X_SHIFT
 from dynaviz.spatial.grid import pack_indices
 
+KERNELS = kernels.load("dynaviz_methods.seethrough.kernels")
+
 DYNAMIC = 0.5  # certainty of an object that is dynamic as a whole
 PLACE = 4  # voxels along x and y
 # in fewer, fewer errors add up: the prior is smaller; an object is compared with itself so many
@@ -123,7 +125,7 @@ class History:
             voxels: (N,) int64, objects: (N,) int32: of each point, -1 for none.
             count: number of objects.
         """
-        places, begins = kernels.places.visit(
+        places, begins = KERNELS.places.visit(
             voxels, objects, count, number, self._up, self._stamps
         )
         owners = np.repeat(np.arange(count), np.diff(begins))
@@ -132,7 +134,7 @@ class History:
         )
         at = np.searchsorted(pairs, np.arange(count + 1) + REACH << X_SHIFT)
         cells, columns = np.unique(pairs & (1 << X_SHIFT) - 1, return_inverse=True)
-        reach = kernels.places.reaches(points, objects, count)
+        reach = KERNELS.places.reaches(points, objects, count)
         self._visits[number] = Visits(
             number, places, begins, columns.astype(np.int32), at, cells, reach
         )
@@ -156,22 +158,22 @@ class History:
         visited, begins = self._remaining(visits)
         rows = self._rows if online else np.zeros_like(self._rows)
         rows[self._places] = 0
-        places = np.append(np.int32(0), np.sort(kernels.places.distinct(visited, rows)))  # by row
+        places = np.append(np.int32(0), np.sort(KERNELS.places.distinct(visited, rows)))  # by row
         rows[places[1:]] = np.arange(1, len(places))
         of_visits = rows[visited]
         if online:
             self._places = places
-        own = kernels.places.evidence(places, self._up, *self._counts, self.weights())
+        own = KERNELS.places.evidence(places, self._up, *self._counts, self.weights())
         numbers = np.array([each.number for each in visits], np.int32)
         shared = np.zeros_like(own)
         for last in (False, True):
             of_places = of_visits, begins, own, shared, self._inherit
-            certain = kernels.places.certainties(*of_places, 1 / self._weights[2])
+            certain = KERNELS.places.certainties(*of_places, 1 / self._weights[2])
             dynamic = certain > DYNAMIC
             if last:
                 dynamic = self._followed(visits, firsts, places, of_places, dynamic)
             certain[dynamic] = 1.0
-            shared, source = kernels.places.share(
+            shared, source = KERNELS.places.share(
                 firsts, numbers, of_visits, begins, certain, len(own)
             )
         return Decision(rows, own, shared, source, self._inherit, self.weights())
@@ -201,7 +203,7 @@ class History:
         Args:
             visits: of the scans; firsts: (F + 1,) int64: the first object of each.
             places: (R + 1,) int32, by row; of_places: the first arguments of
-                ``kernels.places.certainties``.
+                ``KERNELS.places.certainties``.
             dynamic: (O,) bool.
         """
         if not len(dynamic):
@@ -222,11 +224,11 @@ class History:
             PLACE * self._grid.resolution
         )
         moves = reach, self._guard, SCANS, self._weights[1], centres.astype(np.float32)
-        dynamic |= kernels.places.moved(*tracks, *moves, *of_places)
+        dynamic |= KERNELS.places.moved(*tracks, *moves, *of_places)
         forward = dynamic.copy()
         backward = dynamic.copy()
-        kernels.places.follow(*tracks, forward, False)
-        kernels.places.follow(*tracks, backward, True)
+        KERNELS.places.follow(*tracks, forward, False)
+        KERNELS.places.follow(*tracks, backward, True)
         return forward | backward
 
     def forget(self, number: int) -> None:

@@ -49,21 +49,24 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool
-from dynaviz.blocks.blocks import VOXELS, Marks, voxels_of
+from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool, all_finite
+from dynaviz.blocks.blocks import VOXELS, BlockGrid, Marks, voxels_of
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.contracts.extent import CELL
+from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.scan_ground import EXACT, ScanGround
-from dynaviz_methods.codes import pack_codes, unpack_codes
-from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
 from dynaviz_methods.seethrough.history import Decision, History
 from dynaviz_methods.seethrough.level import Level
+from dynaviz_methods.shared.codes import pack_codes, unpack_codes
+from dynaviz_methods.shared.lookups import known
+
+KERNELS = kernels.load("dynaviz_methods.seethrough.kernels")
+SHARED = kernels.load("dynaviz_methods.shared.kernels")
 
 SPACINGS = 2.7  # mean angles between rays, across which points are joined beyond ``join_angle``
 STEP = 0.2  # degrees between two rays of a ring, unless the sensor's facts state it
@@ -203,7 +206,13 @@ class SeeThrough:
     """SeeThrough; in online mode it labels each scan by the scans so far."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "seethrough", "SeeThrough", "dynaviz, 2026", REASONS, STATES, uses=("elevation",)
+        "seethrough",
+        "SeeThrough",
+        "dynaviz, 2026",
+        REASONS,
+        STATES,
+        uses=("elevation",),
+        colour=(75, 60, 255),
     )
     Params: ClassVar[type[Any]] = SeeThroughParams
 
@@ -234,6 +243,21 @@ class SeeThrough:
         self._bands: dict[int, U8] = {}  # by scan index, until it is labelled; packed
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
 
+    @classmethod
+    def compile_ahead(cls, scan: Scan) -> None:
+        """Count the voxels of a scan, and join its points to objects."""
+        chosen = all_finite(scan.points)
+        grid = BlockGrid(Extent.of(scan), 0.2)
+        marks = grid.mark(scan, chosen, chosen)
+        bits = np.zeros((len(marks.blocks) + 1, 8), np.uint64)
+        near = SHARED.clearance.grown(bits, np.zeros((len(marks.blocks), 6), np.int32), 1)
+        counts = [np.zeros((len(grid) + 1, VOXELS), np.uint16) for _ in range(3)]
+        SHARED.clearance.count(marks.blocks, marks.bits, near, *counts)
+        at = kernels.as_readonly(scan.position[:2], np.float64)
+        objects, cells, wider = KERNELS.objects.cells_of(scan.points, chosen, at, 0.2, 0.05)
+        order = np.argsort(cells)
+        KERNELS.objects.connect(objects, order, cells[order], wider)
+
     def observe(self, scan: Scan) -> None:
         """Count the voxels that the scan hits, crosses and sees clear, and let its
         places inherit.
@@ -249,15 +273,15 @@ class SeeThrough:
         self._bands[scan.index] = pack_codes(measured.bands)
         marks = self._grid.mark_once(measured.scan, measured.voxels)
         near = self._grid.near(marks, round(p.guard / p.resolution))
-        kernels.clearance.count(marks.blocks, marks.bits, near, *self._counts)
+        SHARED.clearance.count(marks.blocks, marks.bits, near, *self._counts)
         chosen = (measured.voxels >= 0) & (measured.bands == ABOVE)
         at = kernels.as_readonly(scan.position[:2], np.float64)
-        objects, cells, wider = kernels.clusters.cells_of(
+        objects, cells, wider = KERNELS.objects.cells_of(
             measured.scan.points, chosen, at, p.resolution, self._angle
         )
-        order = np.argsort(cells)
         # turns cells into objects
-        count = kernels.clusters.connect(objects, order, cells[order], wider)
+        order = np.argsort(cells)
+        count = KERNELS.objects.connect(objects, order, cells[order], wider)
         self._history.add(now, measured.scan.points, measured.voxels, objects, count)
         self._show(measured, marks, near)
 
@@ -349,12 +373,12 @@ class SeeThrough:
         """Reason code of each point of an observed scan, (N,) uint8."""
         of_places = decision.rows, decision.own, decision.shared, decision.inherit
         of_voxels = *self._counts, decision.weights
-        reasons: U8 = kernels.places.outcomes(
+        reasons: U8 = KERNELS.places.outcomes(
             measured.voxels, measured.bands, *of_places, *of_voxels, BY_PLACE
         )
         under = self._under(measured, reasons)
         if under.any():
-            empty = kernels.places.of_points(np.where(under, measured.voxels, -1), *of_voxels)
+            empty = KERNELS.places.of_points(np.where(under, measured.voxels, -1), *of_voxels)
             reasons[
                 under & ((measured.bands == NEAR_GROUND) | (empty > np.float32(decision.prior)))
             ] = FOOT
@@ -367,7 +391,7 @@ class SeeThrough:
         """
         chosen = REMOVED.take(reasons) & (reasons != FOOT)
         low = (reasons == LOW) | (reasons == FOOT)
-        under: Bool = kernels.squares.in_or_next_to(
+        under: Bool = KERNELS.squares.in_or_next_to(
             measured.scan.points, chosen, low, self.params.resolution
         )
         return under
@@ -413,7 +437,7 @@ class SeeThrough:
         rows = asked.rows
         voxels = measured.voxels[rows]
         height = _heights(asked.scan)[rows]
-        empty = known(kernels.places.of_points(voxels, *self._counts, decision.weights), voxels)
+        empty = known(KERNELS.places.of_points(voxels, *self._counts, decision.weights), voxels)
         up = (
             Term(
                 "height above the ground",

@@ -1,0 +1,1 @@
+"""Kernels of BeautyMap, loaded on first use."""

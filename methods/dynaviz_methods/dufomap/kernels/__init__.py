@@ -1,0 +1,1 @@
+"""Kernels of DUFOMap, loaded on first use."""

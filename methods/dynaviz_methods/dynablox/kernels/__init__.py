@@ -1,0 +1,1 @@
+"""Kernels of Dynablox, loaded on first use."""

@@ -1,0 +1,1 @@
+"""Kernels of ERASOR, loaded on first use."""

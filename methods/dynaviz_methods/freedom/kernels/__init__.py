@@ -1,0 +1,1 @@
+"""Kernels of FreeDOM, loaded on first use."""

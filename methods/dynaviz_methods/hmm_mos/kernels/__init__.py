@@ -1,0 +1,1 @@
+"""Kernels of HMM-MOS, loaded on first use."""

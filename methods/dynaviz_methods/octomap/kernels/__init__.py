@@ -1,0 +1,1 @@
+"""Kernels of OctoMap, loaded on first use."""

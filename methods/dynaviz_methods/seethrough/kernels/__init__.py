@@ -1,0 +1,1 @@
+"""Kernels of SeeThrough, loaded on first use."""

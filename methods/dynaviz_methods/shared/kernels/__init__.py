@@ -1,0 +1,1 @@
+"""Kernels of several methods, loaded on first use."""
