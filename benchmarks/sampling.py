@@ -4,15 +4,17 @@ drives.
     python benchmarks/sampling.py [--poses small-gicp] SEQUENCE [METHOD ...]
 
 Runs each method on every n-th scan of a drive, and on every n-th ring of its scans, and adds the
-results to dynaviz/diagnosis/sampling.json, from which ``dynaviz doctor`` says which methods the
+results to sampling.json beside the method, from which ``dynaviz doctor`` says which methods the
 data suit. Rows that are there are not measured again.
 """
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +25,7 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.diagnosis.sampling import TABLE, looks
+from dynaviz.diagnosis.sampling import looks
 from dynaviz.spatial import geometry
 from dynaviz.synthetic.simulate.lidar import beams
 
@@ -72,6 +74,11 @@ def rates(name: str, scans: list[Scan], sensor: Sensor) -> tuple[float, float]:
     return 100 * float((~removed[static]).mean()), 100 * float(removed[dynamic].mean())
 
 
+def table_of(name: str) -> Path:
+    """The table in the folder of a method."""
+    return Path(inspect.getfile(registry.load("methods", name))).with_name("sampling.json")
+
+
 def main() -> None:
     """Measure what is missing."""
     parser = argparse.ArgumentParser(
@@ -81,7 +88,6 @@ def main() -> None:
     parser.add_argument("methods", nargs="*", metavar="METHOD")
     parser.add_argument("--poses")
     options = parser.parse_args()
-    rows = json.loads(TABLE.read_text()) if TABLE.exists() else []
     drive = dv.open(options.sequence, poses=options.poses)
     read = (drive[position] for position in range(len(drive)))
     scans = [
@@ -93,6 +99,8 @@ def main() -> None:
         seen = looks([scan.position for scan in chosen])
         for name in options.methods or [handle.name for handle in registry.handles("methods")]:
             row = {"method": name, "drive": drive.name, "looks": seen, "rings": sensor.rings or 0}
+            table = table_of(name)
+            rows = json.loads(table.read_text()) if table.exists() else []
             if any(row.items() <= known.items() for known in rows):
                 continue
             SA, DA = rates(name, chosen, sensor)
@@ -102,7 +110,7 @@ def main() -> None:
                 json.dumps(each)
                 for each in sorted(rows, key=lambda row: (row["method"], row["drive"]))
             )
-            TABLE.write_text(f"[\n{lines}\n]\n")
+            table.write_text(f"[\n{lines}\n]\n")
 
 
 if __name__ == "__main__":

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from dynaviz.contracts import registry
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
     "dynaviz": ROOT / "dynaviz",
@@ -147,6 +149,49 @@ def test_the_core_names_no_method_and_no_metric() -> None:
     assert [
         path for path in files("dynaviz") if any(within(name, *plugged) for name in imports(path))
     ] == []
+
+
+EXAMPLE = "an example in an error"
+NAMED = {  # names of methods in the core, apart from examples in docstrings
+    "dynaviz/contracts/registry.py": "the method if a user names none",
+    "dynaviz/synthetic/implants/panel.toml": "the methods that vote, which differ in principle",
+    "dynaviz/benchmarking/plan_file.py": EXAMPLE,
+}
+
+
+def texts(path: Path) -> str:
+    """The strings of a file without its docstrings; the content of a file that is not Python."""
+    text = path.read_text()
+    if path.suffix != ".py":
+        return text
+    tree = ast.parse(text)
+    documents = {
+        id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)
+    }  # docstrings, also of constants
+    strings = [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and id(node) not in documents
+    ]
+    names = [node.id for node in ast.walk(tree) if isinstance(node, ast.Name)]
+    return "\n".join((*strings, *names))
+
+
+def test_the_core_names_no_method() -> None:
+    """What it shows of a method comes from the method: its colour, presets and measurements."""
+    handles = [each for each in registry.handles("methods") if each.distribution == "dynaviz"]
+    words = {each.name for each in handles} | {each.load().info.title for each in handles}
+    assert len(words) > 20
+    pattern = re.compile(rf"(?<![\w-])({'|'.join(map(re.escape, words))})(?![\w-])")
+    found = {
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "dynaviz").rglob("*")
+        if path.suffix in {".py", ".toml", ".json", ".html", ".js", ".css"}
+        and pattern.search(texts(path))
+    }
+    assert found == set(NAMED)
 
 
 def test_only_viz_imports_rerun() -> None:

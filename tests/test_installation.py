@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from helpers.worlds import room
 
-from dynaviz.cleaning import BEST
 from dynaviz.contracts import registry
+from dynaviz.contracts.registry import BEST
 from dynaviz.precompile import quick_to_compile
 from dynaviz.spatial import geometry
 

@@ -15,6 +15,7 @@ from dynaviz.cleaning.changes import Pair, find_changes
 from dynaviz.cleaning.cleaned import Cleaned
 from dynaviz.cleaning.doubt import doubt_of
 from dynaviz.cleaning.trajectory import UsedPoses
+from dynaviz.contracts.registry import BEST
 from dynaviz.contracts.scan import Sequence, base_of
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.cleaned_map import (
@@ -35,11 +36,9 @@ from dynaviz.scores.labels import reasons_by_frame
 from dynaviz.sources.opening import Source, open_source
 from dynaviz.sources.sensing import estimate_sensor, sentence
 
-__all__ = ["BEST", "Cleaned", "clean"]
+__all__ = ["Cleaned", "clean"]
 
 AUTOWARE = "autoware"  # a layout of divided maps
-BEST = "seethrough"
-"""The method with the best mean rank over all data sets (``docs/methods``)."""
 
 
 def clean(

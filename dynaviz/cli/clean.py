@@ -10,6 +10,7 @@ import typer
 
 from dynaviz.cli.console import print_json, program, progress, show, warn
 from dynaviz.cli.options import RUN, SEQUENCE, Json, Quiet, method_names, takes, typed_command
+from dynaviz.contracts.registry import BEST
 
 TILES = Annotated[
     str | None,
@@ -48,7 +49,7 @@ def clean(
         typer.Option(
             "-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names
         ),
-    ] = "seethrough",
+    ] = BEST,
     region: Annotated[
         str | None,
         typer.Option(

@@ -14,6 +14,7 @@ import typer
 
 from dynaviz.cli.console import print_json, program, progress, show
 from dynaviz.cli.options import METHOD, SEQUENCE, Json, Quiet, method_names, takes
+from dynaviz.contracts.registry import BEST
 
 if TYPE_CHECKING:
     from dynaviz.online.player import PlayReport
@@ -32,7 +33,7 @@ def live(
         typer.Option(
             "-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names
         ),
-    ] = "seethrough",
+    ] = BEST,
     rate: Annotated[
         float,
         typer.Option(metavar="X", help="Speed; 0 labels every scan as fast as possible."),

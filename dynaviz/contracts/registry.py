@@ -14,7 +14,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from dynaviz import source_files
 from dynaviz.errors import PluginError, UsageError
+
+BEST = "seethrough"
+"""The method if a user names none: the one with the best mean rank (``docs/methods``)."""
 
 
 @dataclass(frozen=True)
@@ -107,14 +111,24 @@ def suggest(name: str, known: Any) -> str:
     return f"Did you mean '{near[0]}'?" if near else f"Known: {', '.join(sorted(known)) or 'none'}."
 
 
+def files_of_methods(pattern: str) -> list[Path]:
+    """Files that packages bring for their methods, such as ``sampling.json``.
+
+    They lie in the folder of a method's module, or in one above it, within its package. No package
+    is imported.
+    """
+    found: dict[Path, None] = {}
+    for handle in handles("methods"):
+        steps = handle.target.partition(":")[0].split(".")
+        for depth in range(1, len(steps) + 1):
+            for folder in source_files.folders(".".join(steps[:depth])):
+                found |= dict.fromkeys(sorted(folder.glob(pattern)))
+    return list(found)
+
+
 def preset_files() -> dict[str, list[Path]]:
-    """Files of each preset by name: ``presets/*.toml`` in the packages of all methods."""
+    """Files of each preset by name: ``presets/*.toml`` beside each method, and in its package."""
     presets: dict[str, list[Path]] = {}
-    for package in dict.fromkeys(handle.package for handle in handles("methods")):
-        try:
-            roots = list(importlib.import_module(package).__path__)
-        except Exception:  # a broken plug-in does not affect others; loading it raises the error
-            continue
-        for file in sorted(Path(roots[0]).glob("presets/*.toml")):
-            presets.setdefault(file.stem, []).append(file)
+    for file in files_of_methods("presets/*.toml"):
+        presets.setdefault(file.stem, []).append(file)
     return presets

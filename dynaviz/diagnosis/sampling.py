@@ -1,7 +1,8 @@
 """Whether a sequence has enough scans and rings for each method, by what methods found on thinned
 real drives.
 
-``benchmarks/sampling.py`` writes ``sampling.json``: rows of method, drive, looks, rings, SA and DA.
+``benchmarks/sampling.py`` writes ``sampling.json`` beside each method: rows of method, drive,
+looks, rings, SA and DA.
 """
 
 from __future__ import annotations
@@ -10,14 +11,13 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dynaviz.arrays import F64
+from dynaviz.contracts import registry
 
-TABLE = Path(__file__).with_name("sampling.json")
 NEAR = 10.0  # metres: a place is seen from scans within this distance
 ENOUGH = 0.5  # share of its DA in dense data that a method must keep
 
@@ -107,5 +107,8 @@ def _kept(method: str, seen: int, rings: int | None) -> float:
 
 @cache
 def _rows() -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = json.loads(TABLE.read_text(encoding="utf-8"))
-    return rows
+    return [
+        row
+        for file in registry.files_of_methods("sampling.json")
+        for row in json.loads(file.read_text(encoding="utf-8"))
+    ]

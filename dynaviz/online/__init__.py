@@ -9,6 +9,7 @@ from typing import Any
 from dynaviz import kernels
 from dynaviz.contracts import params, registry
 from dynaviz.contracts.method import Live, Method
+from dynaviz.contracts.registry import BEST
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import UsageError
 from dynaviz.online.session import LiveSession, Settings, warm_up
@@ -17,7 +18,7 @@ __all__ = ["LiveSession", "live", "why_not_live"]
 
 
 def live(
-    method: str = "seethrough",
+    method: str = BEST,
     *,
     sensor: str | Sensor | None = None,
     reach: float = 60.0,
@@ -40,7 +41,7 @@ def live(
         reach: metres around the sensor within which points are judged. What lies a tenth farther is
             forgotten.
         keep: number of last scans that ``LiveSession.revise`` labels again, and with which
-            BeautyMap compares a scan.
+            some methods compare a scan.
         map_voxel: edge of the voxels of the static map, metres; one point each.
         preset, config, settings: layers of parameters, as for ``dynaviz.run``.
         seed: for all randomness in the method.

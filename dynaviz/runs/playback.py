@@ -9,6 +9,7 @@ from pathlib import Path
 
 from dynaviz import kernels
 from dynaviz.contracts.probe import SILENT
+from dynaviz.contracts.registry import BEST
 from dynaviz.contracts.scan import Sequence, stream
 from dynaviz.engine.needs import suited
 from dynaviz.errors import UsageError
@@ -21,7 +22,7 @@ from dynaviz.runs.options import MethodOptions
 
 def play_live(
     sequence: Sequence,
-    method: str = "seethrough",
+    method: str = BEST,
     *,
     rate: float = 1.0,
     reach: float = 60.0,
