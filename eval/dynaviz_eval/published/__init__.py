@@ -30,7 +30,7 @@ READ = {
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class PublishedSource:
     """Where numbers come from: the publication, and where they were read."""
 
     text: str
@@ -59,7 +59,7 @@ class Published:
     AA: float
     HA: float
     online: bool
-    source: Source
+    source: PublishedSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class PublishedScores:
     title: str
     scores: Mapping[str, float]
     learned: bool
-    source: Source
+    source: PublishedSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ class PublishedRuntime:
     mean_s: float
     std_s: float
     n_parameters: int | None
-    source: Source
+    source: PublishedSource
 
 
 def published_sequences() -> list[str]:
@@ -234,8 +234,8 @@ def published_runtimes() -> tuple[PublishedRuntime, ...]:
     )
 
 
-def _source(content: Mapping[str, Any], row: Mapping[str, Any]) -> Source:
-    return Source(**content["sources"][row["source"]])
+def _source(content: Mapping[str, Any], row: Mapping[str, Any]) -> PublishedSource:
+    return PublishedSource(**content["sources"][row["source"]])
 
 
 @cache

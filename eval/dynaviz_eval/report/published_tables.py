@@ -7,7 +7,7 @@ from dynaviz_eval.protocols.points import PublicBenchmark
 from dynaviz_eval.published import (
     Match,
     PublishedScores,
-    Source,
+    PublishedSource,
     matching,
     published,
     published_by_protocol,
@@ -134,6 +134,6 @@ def _own(board: ScoreBoard, row: PublishedScores) -> ScoreRow | None:
     return next((each for each in board.rows if each.result.method == row.method), None)
 
 
-def _listed(sources: list[Source]) -> str:
+def _listed(sources: list[PublishedSource]) -> str:
     """The sources with their numbers, as a sentence."""
     return "Sources: " + "; ".join(f"{k} {source}" for k, source in enumerate(sources, 1)) + "."
