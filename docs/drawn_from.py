@@ -37,6 +37,8 @@ def digests() -> dict[str, str]:
     )
     two = compare_layout.two(("A", "B"), np.zeros((1, 3)), CIRCLES[:1])
     values = {name: value for name, value in vars(colours).items() if name.isupper()}
+    methods = registry.loadable("methods")
+    values["METHODS"] = {name: colours.method_colour(name) for name in sorted(methods)}
     sources = {
         "colours": repr(sorted(values.items())),
         "layout": repr([described(each.root_container) for each in (run, two)]),

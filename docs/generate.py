@@ -34,7 +34,7 @@ from griffe import Docstring, DocstringSectionAttributes
 from real_tables import methods, table
 
 from dynaviz.contracts import registry
-from dynaviz.diagnosis.sampling import TABLE
+from dynaviz.diagnosis.sampling import measured
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
@@ -150,7 +150,7 @@ def protocols() -> str:
 
 def sampling() -> str:
     """DA of each method by scans that see a place and by rings, on two drives."""
-    rows = json.loads(TABLE.read_text(encoding="utf-8"))
+    rows = measured()
     columns = sorted({(row["drive"], -row["rings"], -row["looks"]) for row in rows})
     head = (
         "method",

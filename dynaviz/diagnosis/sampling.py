@@ -81,7 +81,7 @@ def looks(
 
 def sampling(seen: int, rings: int | None) -> Sampling:
     """What so many looks and rings cost each method that was measured."""
-    names = sorted({row["method"] for row in _rows()})
+    names = sorted({row["method"] for row in measured()})
     return Sampling(seen, rings, {name: _kept(name, seen, rings) for name in names})
 
 
@@ -89,7 +89,7 @@ def _kept(method: str, seen: int, rings: int | None) -> float:
     """The share of its DA that a method keeps, as mean over drives, interpolated over the logarithm
     of each axis.
     """
-    rows = [row for row in _rows() if row["method"] == method]
+    rows = [row for row in measured() if row["method"] == method]
     shares = []
     for drive in {row["drive"] for row in rows}:
         share = 1.0
@@ -106,7 +106,11 @@ def _kept(method: str, seen: int, rings: int | None) -> float:
 
 
 @cache
-def _rows() -> list[dict[str, Any]]:
+def measured() -> list[dict[str, Any]]:
+    """What methods found on thinned drives.
+
+    Rows with the method, the drive, looks, rings, and SA and DA in percent.
+    """
     return [
         row
         for file in registry.files_of_methods("sampling.json")

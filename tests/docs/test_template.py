@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.installed_packages import Python, python_with
+from helpers.marks import compiled_only
 
 from dynaviz.testing import crossing
 
@@ -67,6 +68,50 @@ def test_it_runs_and_is_scored_as_any_other(python: Python, folder: Path, tmp_pa
     assert min(counts.values()) > 0
     assert result["ghost_volume"]["ghosts_m3"] == pytest.approx(len(ghosts) * 0.2**3, abs=1e-3)
     assert result["reasons"]["false_negative"]["often_seen"] == counts["dynamic_kept"]
+
+
+KERNELS = """
+import numpy as np
+from dynaviz import colours, kernels
+from dynaviz.contracts import plugin_code, registry
+
+counts = kernels.load("dynaviz_template.kernels").counts
+state = np.full(16, -1), np.zeros(16, np.int64), 0
+for most in (4, 20):  # the second time, the table grows
+    state = counts.add(np.arange(most), *state)
+table, scans, used = state
+assert counts.look_up(np.array([3, 19, 20]), table, scans).tolist() == [2, 1, 0]
+assert (used, len(table)) == (20, 128)
+assert colours.method_colour("seldom") == (0, 140, 140)
+assert "long_drive" in registry.preset_files()
+print(sum(counts.add.stats.cache_misses.values()), plugin_code.plugin("methods", "seldom").sha256)
+"""
+
+
+def counted(python: Python) -> list[str]:
+    """The number of kernels that a process compiles, and the digest of the method."""
+    done = python("-c", KERNELS)
+    assert not done.returncode, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.slow
+@compiled_only
+def test_its_kernels_are_compiled_once_and_count_as_its_code(
+    python: Python,
+) -> None:
+    file = python("-c", "import dynaviz_template.kernels as k; print(k.__path__[0], end='')").stdout
+    kernel = Path(file) / "counts.py"
+    source = kernel.read_text()
+    try:
+        compiled, digest = counted(python)
+        assert counted(python) == ["0", digest]  # from disk
+        kernel.write_text(source + "\n")
+        again, other = counted(python)
+        assert min(int(compiled), int(again)) > 0
+        assert other != digest
+    finally:
+        kernel.write_text(source)
 
 
 @pytest.mark.slow

@@ -12,11 +12,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dynaviz import kernels
 from dynaviz.arrays import I64
 from dynaviz.contracts.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.contracts.probe import State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz.spatial.grid import in_key_range, pack, unpack
+
+KERNELS = kernels.load("dynaviz_template.kernels")  # imported and compiled on first use
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ class Seldom:
                 value_range=(0.0, 10.0),
             ),
         ),
+        colour=(0, 140, 140),  # in every figure
     )
     Params: ClassVar[type[Any]] = SeldomParams
 
@@ -80,19 +84,17 @@ class Seldom:
     def begin(self, context: Context) -> None:
         """Start with an empty map."""
         self._probe = context.probe
-        self._keys = np.empty(0, np.int64)
-        self._scans = np.empty(0, np.int64)
+        self._table = np.full(1 << 16, -1, np.int64)
+        self._scans = np.zeros(1 << 16, np.int64)
+        self._used = 0
 
     def observe(self, scan: Scan) -> None:
         """Add 1 to the count of each voxel that contains a point of the scan."""
         near = in_key_range(scan.points, self.params.resolution)
         here = np.unique(pack(scan.points[near], self.params.resolution))
-        merged = np.union1d(self._keys, here)
-        scans = np.zeros(len(merged), np.int64)
-        scans[np.searchsorted(merged, self._keys)] = self._scans
-        scans[np.searchsorted(merged, here)] += 1
-        self._keys = merged
-        self._scans = scans
+        self._table, self._scans, self._used = KERNELS.counts.add(
+            here, self._table, self._scans, self._used
+        )
         if self._probe.wants("scans"):  # skip the work if the state is not recorded
             values = self._count(here).astype(np.float32)
             self._probe.emit("scans", Voxels(unpack(here), self.params.resolution, values))
@@ -109,5 +111,6 @@ class Seldom:
         return Labels(reasons == SELDOM, reasons)
 
     def _count(self, keys: I64) -> I64:
-        """Number of scans per voxel, (K,) int64, for keys that were all observed."""
-        return self._scans[np.searchsorted(self._keys, keys)]
+        """Number of scans per voxel, (K,) int64."""
+        found: I64 = KERNELS.counts.look_up(keys, self._table, self._scans)
+        return found

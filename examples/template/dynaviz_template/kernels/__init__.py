@@ -1,0 +1,1 @@
+"""Kernels of the template, loaded on first use."""
