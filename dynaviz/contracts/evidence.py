@@ -11,7 +11,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -105,7 +105,10 @@ class Term:
         test: one of ``TESTS``.
         threshold: one value, or (K,) one for each point.
         unit: such as ``m``.
-        parameter: name of the parameter that is the threshold; empty if none is.
+        parameter: name of the parameter that sets the threshold; empty if none does.
+        follows: how the threshold follows the parameter p: ``equal`` to it, in proportion to 1 - p
+            (``complement``), or ``otherwise``, also if p changes more than this threshold. Unless
+            otherwise, the numbers tell the label with another p.
     """
 
     name: str
@@ -114,6 +117,7 @@ class Term:
     threshold: ArrayLike
     unit: str = ""
     parameter: str = ""
+    follows: Literal["equal", "complement", "otherwise"] = "equal"
 
     def holds(self) -> Bool:
         """(K,) bool."""

@@ -11,10 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, RuleValue, TermValue
-from dynaviz.explain.words import number, words, yes_or_no
+from dynaviz.explain.deciding import decided_by, failing, failures_alone, gap
+from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, TermValue
+from dynaviz.explain.words import needed, number, yes_or_no
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.spatial.surface import GRAZING
+
+ALONE = 2  # terms that failed alone, listed at most
+SHOWN = 2  # terms of the rule that removed points, listed at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +32,14 @@ class Deciding:
         points: number of points that it decided.
         terms: of a removed case all its terms, of a kept case those that fail, with the median
             value; None if unknown.
+        frame: of the scan that fulfilled the rule; None if it is not the same for all points, and
+            for a rule that the last numbers decide.
     """
 
     rule: str
     points: int
     terms: tuple[TermValue, ...]
+    frame: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +52,8 @@ class CaseEvidence:
         hit, crossed: median number of scans that hit, and that crossed, the cell of a point.
         removed: the label of most points.
         deciding: the rule that decided; None for a labeller without evidence.
+        alone: of kept points and a rule that one scan may fulfil: terms that failed alone, with the
+            number of scans, most frequent first.
     """
 
     points: int
@@ -53,36 +62,40 @@ class CaseEvidence:
     crossed: float
     removed: bool
     deciding: Deciding | None
+    alone: tuple[tuple[TermValue, int], ...] = ()
 
     @property
     def text(self) -> str:
-        """The evidence in a sentence or two."""
-        cells = (
-            "Its cell was"
-            if self.points == 1
-            else f"In the median of {self.points:,} points, the cell was"
+        """The evidence in a sentence or two, as a person would say it."""
+        many = "" if self.points == 1 else f"in the median of {self.points:,} points, "
+        place = "its place" if self.points == 1 else "the place"
+        seen = (
+            f"{_scans(self.crossed, self.searched)} saw through {place}"
+            if self.crossed
+            else f"none of {_scans(self.searched)} saw through {place}"
         )
-        counts = f"hit by {_scans(self.hit)} and crossed by {self.crossed:g} of {self.searched:,}"
-        decided = (
-            ""
-            if self.deciding is None
-            else f" {_decided(self.deciding, self.points, self.removed)}"
-        )
-        return f"{cells} {counts}.{decided}"
+        hit = f"{self.hit:g} hit it" if self.hit else "none hit it"
+        because = ""
+        if self.deciding is not None and not self.alone:
+            because = f" ({_because(self.deciding, self.points, self.removed)})"
+        head = "Removed" if self.removed else "Kept"
+        return f"{head}: {many}{seen}, {hit}{because}.{_alone(self.alone)}"
 
 
 def evidence_of(ledgers: Sequence[PointLedger]) -> CaseEvidence:
     """What ledgers, at least one, have in common."""
     removed = 2 * sum(ledger.removed for ledger in ledgers) > len(ledgers)
+    alike = [ledger for ledger in ledgers if ledger.removed == removed and ledger.rules]
+    deciding = _deciding(alike, removed)
+    alone = [] if removed or deciding is None else failures_alone(alike, deciding.rule)
     return CaseEvidence(
         points=len(ledgers),
         searched=max(ledger.searched for ledger in ledgers),
         hit=_median(ledgers, lambda entry: entry.hits > 0),
         crossed=_median(ledgers, lambda entry: entry.crossed > 0),
         removed=removed,
-        deciding=_deciding(
-            [ledger for ledger in ledgers if ledger.removed == removed and ledger.rules], removed
-        ),
+        deciding=deciding,
+        alone=tuple(alone),
     )
 
 
@@ -110,13 +123,6 @@ def evidence_text(ledgers: Sequence[PointLedger], case: FailureCase | None) -> s
     return " ".join(parts)
 
 
-def decided_by(ledger: PointLedger) -> RuleValue | None:
-    """The rule that removed a point, or the one that came closest to it; None without rules."""
-    if ledger.removed:
-        return next((rule for rule in ledger.rules if rule.holds), None)
-    return max(ledger.rules, key=_closeness, default=None)
-
-
 def flip(ledger: PointLedger) -> str:
     """How far a point is from the other label, by the only term that would have to change.
 
@@ -133,10 +139,10 @@ def flip(ledger: PointLedger) -> str:
     value = changing[0].value
     if value is None or yes_or_no(term):
         return ""
-    gap = abs(value - term.threshold)
+    away = abs(value - term.threshold)
     unit = f" {term.unit}" if term.unit else ""
-    text = f"The threshold is {number(gap)}{unit} away"
-    scans = _scans_to_flip(ledger, term, gap)
+    text = f"The threshold is {number(away)}{unit} away"
+    scans = _scans_to_flip(ledger, term, away)
     if scans is None:
         return f"{text}."
     which = "hitting" if ledger.removed else "crossing"
@@ -144,7 +150,7 @@ def flip(ledger: PointLedger) -> str:
     return f"{text}: {scans} more {which} scan{'s' * (scans > 1)} would {would} it."
 
 
-def _scans_to_flip(ledger: PointLedger, term: TermValue, gap: float) -> int | None:
+def _scans_to_flip(ledger: PointLedger, term: TermValue, away: float) -> int | None:
     """Scans like the earlier ones after which an accumulated term would be beyond its threshold.
 
     None if unknown.
@@ -160,10 +166,10 @@ def _scans_to_flip(ledger: PointLedger, term: TermValue, gap: float) -> int | No
     if not steps:
         return None
     step = abs(median(steps))
-    count = math.ceil(gap / step)
+    count = math.ceil(away / step)
     return (
         count + 1
-        if count * step == gap and (term.test in ("<", ">")) != ledger.removed
+        if count * step == away and (term.test in ("<", ">")) != ledger.removed
         else max(count, 1)
     )
 
@@ -172,30 +178,13 @@ def _deciding(ledgers: Sequence[PointLedger], removed: bool) -> Deciding | None:
     rules = [rule for ledger in ledgers if (rule := decided_by(ledger)) is not None]
     if not rules:
         return None
-    kept_by = Counter((rule.name, _failing(rule)) for rule in rules)
-    (name, failing), count = kept_by.most_common(1)[0]
-    members = [rule for rule in rules if (rule.name, _failing(rule)) == (name, failing)]
-    shown = range(len(members[0].terms)) if removed else failing
-    return Deciding(
-        name, count, tuple(_median_term([rule.terms[k] for rule in members]) for k in shown)
-    )
-
-
-def _failing(rule: RuleValue) -> tuple[int, ...]:
-    return tuple(k for k, term in enumerate(rule.terms) if not term.holds)
-
-
-def _closeness(rule: RuleValue) -> tuple[int, int]:
-    """A rule with unknown values does not apply.
-
-    Of the others, one with fewer failing terms is closer.
-    """
-    unknown = sum(map(_unknown, rule.terms))
-    return -unknown, -len(_failing(rule))
-
-
-def _unknown(term: TermValue) -> bool:
-    return term.value is None or math.isnan(term.threshold)
+    kept_by = Counter((rule.name, failing(rule)) for rule in rules)
+    (name, failed), count = kept_by.most_common(1)[0]
+    members = [rule for rule in rules if (rule.name, failing(rule)) == (name, failed)]
+    shown = range(len(members[0].terms)) if removed else failed
+    terms = tuple(_median_term([rule.terms[k] for rule in members]) for k in shown)
+    frames = {rule.frame for rule in members}
+    return Deciding(name, count, terms, frames.pop() if len(frames) == 1 else None)
 
 
 def _median_term(terms: Sequence[TermValue]) -> TermValue:
@@ -204,18 +193,42 @@ def _median_term(terms: Sequence[TermValue]) -> TermValue:
     thresholds = [term.threshold for term in terms if not math.isnan(term.threshold)]
     threshold = median(thresholds) if thresholds else math.nan
     value = median(values) if values else None
-    return TermValue(first.name, value, first.test, threshold, first.unit, first.holds)
+    return TermValue(
+        first.name,
+        value,
+        first.test,
+        threshold,
+        first.unit,
+        first.holds,
+        first.parameter,
+        first.follows,
+    )
 
 
 def _median(ledgers: Sequence[PointLedger], counts: Callable[[LedgerEntry], bool]) -> float:
     return float(median(sum(map(counts, ledger.entries)) for ledger in ledgers))
 
 
-def _decided(deciding: Deciding, points: int, removed: bool) -> str:
-    share = "" if deciding.points == points else f" for {deciding.points:,} of them"
-    head = f"Removed{share}" if removed else f"Not removed{share}"
-    return f"{head}, because {' and '.join(map(words, deciding.terms))}."
+def _because(deciding: Deciding, points: int, removed: bool) -> str:
+    """The numbers that decided, in brackets."""
+    numbers = [term for term in deciding.terms if not yes_or_no(term) and gap(term) < math.inf]
+    shown = deciding.terms
+    if removed and numbers:
+        shown = tuple(sorted(numbers, key=gap)[:SHOWN])  # those that the least change would turn
+    share = "" if deciding.points == points else f"{deciding.points:,} of them: "
+    frame = "" if deciding.frame is None else f"in frame {deciding.frame}: "
+    return f"{share}{frame}{'; '.join(map(needed, shown))}"
 
 
-def _scans(count: float) -> str:
+def _alone(alone: Sequence[tuple[TermValue, int]]) -> str:
+    """Which terms failed alone, and in how many scans."""
+    return "".join(
+        f" In {_scans(count)}, only this failed: {needed(term, best=count > 1)}."
+        for term, count in alone[:ALONE]
+    )
+
+
+def _scans(count: float, total: int = 0) -> str:
+    if total:
+        return f"{count:g} of {_scans(total)}"
     return f"{count:g} scan{'s' * (count != 1)}"

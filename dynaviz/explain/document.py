@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from dynaviz.contracts.method import Reason
 from dynaviz.explain.case_evidence import evidence_of, flip
+from dynaviz.explain.deciding import deciding_scans
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.words import rule_words
 from dynaviz.scores.failure_case import case_at
@@ -32,7 +33,8 @@ class Why:
         ledger: the scans that touched the point, what each contributed, and the rules that decided.
         cause: of the failure case that contains the point; None if no listed case does, or the
             label is right.
-        note: what the ledger cannot show; empty if nothing.
+        note: what the ledger cannot show, or that the run was repeated; empty if nothing.
+        about: the case that was asked about, and the evidence on all of its points; empty for none.
     """
 
     method: str
@@ -42,6 +44,7 @@ class Why:
     ledger: PointLedger
     cause: str | None = None
     note: str = ""
+    about: str = ""
 
     @property
     def sentence(self) -> str:
@@ -61,7 +64,15 @@ class Why:
     def to_dict(self) -> dict[str, Any]:
         """Everything in plain types that JSON knows; numbers that are not finite become None."""
         plain: dict[str, Any] = _plain(
-            {**dataclasses.asdict(self), "sentence": self.sentence, "evidence": self.evidence}
+            {
+                **dataclasses.asdict(self),
+                "sentence": self.sentence,
+                "evidence": self.evidence,
+                "deciding": [
+                    {**dataclasses.asdict(row), "span": row.span}
+                    for row in deciding_scans(self.ledger)
+                ],
+            }
         )
         for rule, shown in zip(self.ledger.rules, plain["ledger"]["rules"], strict=True):
             shown["text"] = rule_words(rule)
@@ -72,7 +83,8 @@ class Why:
 
         place = " ".join(f"{x:.2f}" for x in self.ledger.position)
         where = f"point {self.ledger.point} of frame {self.ledger.frame}, at ({place}) m"
-        head = f"{self.title} on {self.sequence}: {where}", self.sentence, self.evidence, self.note
+        title = f"{self.title} on {self.sequence}: {where}"
+        head = self.about, title, self.sentence, self.evidence, self.note
         return ledger_table(self.ledger, [line for line in head if line])
 
 

@@ -200,6 +200,7 @@ class _Book:
         values: tuple[Quantity, ...] = ()
         held: dict[str, Bool] = {}
         removed: Bool | None = None
+        compared: dict[str, _Numbers] = {}
         concerned = (rays.hits + rays.crossed)[first : first + len(self.points)] > 0
         if evidence is not None:
             self.alone = evidence.alone
@@ -210,7 +211,8 @@ class _Book:
             self.over = self._verdict.final
             held = {rule.name: rule.holds() for rule in evidence.rules}
             removed = self._verdict.dynamic() if evidence.rules else None
-            self._compare(evidence, frame)
+            compared = {rule.name: _Numbers(rule) for rule in evidence.rules if rule.lasting}
+            self._compare(compared, frame)
         changes = self._changes(values)
         for quantity in values:
             if quantity.total:
@@ -232,6 +234,12 @@ class _Book:
                     holds=tuple(name for name, of in held.items() if of[k]),
                     removed=None if removed is None else bool(removed[k]),
                     steps=tuple(step.name for q in values for step in q.steps if step.applies[k]),
+                    terms={
+                        name: pairs
+                        for name, numbers in compared.items()
+                        if (pairs := numbers.pairs(k))
+                        and any(value is not None for value, _ in pairs)
+                    },
                 )
             )
 
@@ -297,21 +305,19 @@ class _Book:
                 before[known] = now[known]
         return changes
 
-    def _compare(self, evidence: Evidence, frame: int) -> None:
+    def _compare(self, compared: Mapping[str, _Numbers], frame: int) -> None:
         """Keep the terms of lasting rules at the points to which this scan came closer than all
         before it.
         """
-        for rule in evidence.rules:
-            if rule.lasting:
-                numbers = _Numbers(rule)
-                best = self._best.setdefault(rule.name, _Best(len(self.points)))
-                count, gap = numbers.closeness()
-                closer = (count > best.count) | ((count == best.count) & (gap > best.gap))
-                best.count[closer] = count[closer]
-                best.gap[closer] = gap[closer]
-                for k in np.flatnonzero(closer).tolist():
-                    best.frames[k] = frame
-                    best.terms[k] = numbers.terms(k)
+        for name, numbers in compared.items():
+            best = self._best.setdefault(name, _Best(len(self.points)))
+            count, gap = numbers.closeness()
+            closer = (count > best.count) | ((count == best.count) & (gap > best.gap))
+            best.count[closer] = count[closer]
+            best.gap[closer] = gap[closer]
+            for k in np.flatnonzero(closer).tolist():
+                best.frames[k] = frame
+                best.terms[k] = numbers.terms(k)
 
     def _deciding(
         self, rule: Rule
@@ -360,18 +366,27 @@ class _Numbers:
                 term.unit,
                 bool(holds[k]),
                 term.parameter,
+                term.follows,
             )
             for term, values, limits, holds in self._terms
         )
 
+    def pairs(self, k: int) -> tuple[tuple[float | None, float | None], ...]:
+        """Number and threshold of each term at a point."""
+        return tuple((_plain(values[k]), _plain(limits[k])) for _, values, limits, _ in self._terms)
+
     def closeness(self) -> tuple[I64, F64]:
         """Number of terms that hold, and minus the distance of the others from their thresholds.
 
-        Larger is closer.
+        A distance is a share of the larger number, so that metres and counts compare. Larger is
+        closer.
         """
         holds = np.array([holds for *_, holds in self._terms])
         gaps = [
-            np.where(np.isnan(values), np.inf, np.abs(values - limits))
+            np.nan_to_num(
+                np.abs(values - limits) / np.maximum(np.maximum(abs(values), abs(limits)), 1e-9),
+                nan=np.inf,
+            )
             for _, values, limits, _ in self._terms
         ]
         return holds.sum(0), -np.where(holds, 0.0, gaps).sum(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from dynaviz.contracts.evidence import Quantity
 from dynaviz.contracts.method import Reason
@@ -23,6 +23,7 @@ class TermValue:
     unit: str
     holds: bool
     parameter: str = ""
+    follows: str = "equal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,8 @@ class LedgerEntry:
         holds: names of the rules that hold by the numbers of this scan.
         removed: the verdict by the scans so far; None if the method cannot tell.
         steps: names of the steps of sums that apply to the scan.
+        terms: by name of the rules that one scan may fulfil, number and threshold of each term in
+            this scan; without rules whose numbers are all unknown, and empty in earlier recordings.
     """
 
     frame: int
@@ -76,6 +79,7 @@ class LedgerEntry:
     holds: tuple[str, ...]
     removed: bool | None
     steps: tuple[str, ...] = ()
+    terms: Mapping[str, tuple[tuple[float | None, float | None], ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

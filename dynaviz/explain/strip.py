@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence, Set
 from statistics import median
 from typing import Any
 
-from dynaviz.explain.case_evidence import decided_by
+from dynaviz.explain.deciding import decided_by
 from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue
 from dynaviz.explain.words import BOUNDS
 

@@ -1,22 +1,23 @@
-"""The ledger of a point in the terminal, in 80 columns."""
+"""The document on a point in the terminal, in 80 columns."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, QuantityInfo
-from dynaviz.explain.words import number, rule_words
+from dynaviz.explain.deciding import DecidingScans, deciding_scans
+from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.explain.words import rule_words
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-ROWS = 20  # entries listed at most
+ROWS = 20  # listed at most
 
 
 def ledger_table(ledger: PointLedger, head: Sequence[str]) -> RenderableType:
-    """The heading, the scans that mattered most, in order, and the rules that decided.
+    """The heading, the scans that decided, in order, and the rules.
 
     Args:
         ledger: of one point.
@@ -37,90 +38,59 @@ def _entries(ledger: PointLedger) -> Table:
     from rich import box
     from rich.table import Table
 
-    turns = _turns(ledger)
-    shown = _deciding(ledger, turns)
+    rows = deciding_scans(ledger)
+    shown = _most(ledger, rows)
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
-    table.caption = _rest(ledger, {entry.frame for entry in shown})
-    for name in ("frame", "m", "angle", "hit", "crossed"):
+    table.caption = _rest(ledger, rows, shown)
+    for name in ("frames", "m", "angle", "hit", "crossed"):
         table.add_column(name, justify="right", no_wrap=True)
-    for quantity in ledger.quantities:
-        table.add_column(quantity.name, justify="left" if quantity.legend else "right")
+    table.add_column("what it showed", overflow="fold")
     table.add_column("so far")
-    for entry in shown:
-        own = entry.frame == ledger.frame
+    for row in shown:
+        own = row.frames[0] == ledger.frame
         table.add_row(
-            f"{entry.frame}{'*' if own else ''}",
-            f"{entry.range_m:.1f}",
-            "" if entry.angle_deg is None else f"{entry.angle_deg:.0f}°",
-            f"{entry.hits or ''}",
-            f"{entry.crossed or ''}",
-            *(_cell(entry, quantity) for quantity in ledger.quantities),
-            turns.get(entry.frame, ""),
+            f"{row.span}{'*' if own else ''}",
+            _span(row.range_m, 1),
+            "" if row.angle_deg is None else f"{_span(row.angle_deg, 0)}°",
+            f"{row.hits or ''}",
+            f"{row.crossed or ''}",
+            row.text,
+            "" if row.removed is None else "removed" if row.removed else "kept",
             style="bold" if own else None,
         )
     return table
 
 
-def _turns(ledger: PointLedger) -> dict[int, str]:
-    """The frames after which the verdict changed, and the verdict from then on."""
-    turns = {}
-    before = None
-    for entry in ledger.entries:
-        if entry.removed is not None and entry.removed != before:
-            turns[entry.frame] = "removed" if entry.removed else "kept"
-            before = entry.removed
-    return turns
-
-
-def _deciding(ledger: PointLedger, turns: Collection[int]) -> list[LedgerEntry]:
-    """At most ``ROWS`` entries by frame.
-
-    The point's own, those that turned the verdict, then by their contribution.
-
-    Entries without any contribution are left out.
+def _most(ledger: PointLedger, rows: Sequence[DecidingScans]) -> list[DecidingScans]:
+    """At most ``ROWS`` rows by frame: the point's own, those that turned the verdict, and then
+    those of most scans.
     """
-    lasting = {rule.name for rule in ledger.rules if rule.frame is not None}
-    readings = [quantity.name for quantity in ledger.quantities if not quantity.total]
 
-    def weight(entry: LedgerEntry) -> tuple[bool, bool, float, bool, int]:
-        decides = entry.frame == ledger.frame or entry.frame in turns
-        change = max((abs(value) for value in entry.changes.values()), default=0.0)
-        read = any(entry.values.get(name) is not None for name in readings)
-        return (
-            decides,
-            not lasting.isdisjoint(entry.holds),
-            change,
-            read,
-            entry.hits + entry.crossed,
-        )
+    def weight(row: DecidingScans) -> tuple[bool, int, int]:
+        decides = row.frames[0] == ledger.frame or row.removed is not None
+        return decides, row.scans, row.hits + row.crossed
 
-    ranked = sorted(ledger.entries, key=weight, reverse=True)
-    if ledger.rules:
-        ranked = [entry for entry in ranked if any(weight(entry)[:4])]
-    return sorted(ranked[:ROWS], key=lambda entry: entry.frame)
+    ranked = sorted(rows, key=weight, reverse=True)
+    return sorted(ranked[:ROWS], key=lambda row: row.frames)
 
 
-def _rest(ledger: PointLedger, shown: Collection[int]) -> str | None:
-    """A line on the entries that are not shown."""
-    rest = [entry for entry in ledger.entries if entry.frame not in shown]
-    hits, crossed = (
-        sum(getattr(entry, name) > 0 for entry in rest) for name in ("hits", "crossed")
-    )
-    return (
-        f"{len(rest):,} more scans ({hits:,} hit it, {crossed:,} crossed it); --json lists all."
-        if rest
-        else None
-    )
+def _rest(
+    ledger: PointLedger, rows: Sequence[DecidingScans], shown: Sequence[DecidingScans]
+) -> str | None:
+    """A line on the scans that are not shown."""
+    left_out = sum(row.scans for row in rows) - sum(row.scans for row in shown)
+    others = len(ledger.entries) - sum(row.scans for row in rows)
+    parts = []
+    if left_out:
+        parts.append(f"{left_out:,} more scans decided as well")
+    if others:
+        parts.append(f"{others:,} scans touched it without effect")
+    return f"{'; '.join(parts)}. --json lists all." if parts else None
 
 
-def _cell(entry: LedgerEntry, quantity: QuantityInfo) -> str:
-    value = entry.values.get(quantity.name)
-    change = entry.changes.get(quantity.name)
-    if value is None:
-        return ""
-    if quantity.legend:
-        return quantity.legend[int(value)]
-    return number(value) + (f" ({'+' if change > 0 else ''}{number(change)})" if change else "")
+def _span(ends: tuple[float, float], decimals: int) -> str:
+    low, high = (f"{end:.{decimals}f}" for end in ends)
+    return low if low == high else f"{low}-{high}"
 
 
 def _rules(ledger: PointLedger) -> Table:

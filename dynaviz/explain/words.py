@@ -39,7 +39,36 @@ def words(term: TermValue) -> str:
     unit = f" {term.unit}" if term.unit else ""
     threshold = number(term.threshold, term.value)
     bound = f"{'' if term.holds else 'not '}{BOUNDS[term.test]} {threshold}{unit}"
-    return f"{term.name} is {number(term.value, term.threshold)}, {bound}"
+    return f"{term.name} is {number(term.value, term.threshold)}, {bound}{_set_by(term)}"
+
+
+def needed(term: TermValue, best: bool = False) -> str:
+    """What a number is and what it would have to be to remove the point.
+
+    Such as ``scan points in its bin 3, needed at least 6, `min_points```.
+
+    Args:
+        term: to word.
+        best: whether the number is the closest one of several scans.
+    """
+    if yes_or_no(term) or term.value is None or math.isnan(term.threshold):
+        return words(term)
+    unit = f" {term.unit}" if term.unit else ""
+    value = number(term.value, term.threshold)
+    threshold = number(term.threshold, term.value)
+    shown = f"{term.name} {value}{' at best' if best else ''}"
+    return f"{shown}, needed {BOUNDS[term.test]} {threshold}{unit}{_set_by(term)}"
+
+
+def failed(term: TermValue) -> str:
+    """How a term failed, as short as a cell of a table: ``scan points in its bin 3 of 6``."""
+    if yes_or_no(term) or term.value is None or math.isnan(term.threshold):
+        return words(term)
+    value = number(term.value, term.threshold)
+    threshold = number(term.threshold, term.value)
+    if term.test == ">=" and term.value.is_integer() and term.threshold.is_integer():
+        return f"{term.name} {value} of {threshold}"
+    return f"{term.name} {value}, not {term.test} {threshold}{f' {term.unit}' if term.unit else ''}"
 
 
 def rule_words(rule: RuleValue) -> str:
@@ -53,6 +82,11 @@ def rule_words(rule: RuleValue) -> str:
 def yes_or_no(term: TermValue) -> bool:
     """Whether the number of a term is a truth value."""
     return term.threshold == 1 and term.test in ("<", ">=") and term.value in (0, 1)
+
+
+def _set_by(term: TermValue) -> str:
+    """The parameter that sets the threshold."""
+    return f", `{term.parameter}`" if term.parameter else ""
 
 
 def _rounded(value: float, digits: int) -> str:

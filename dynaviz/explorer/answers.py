@@ -14,7 +14,8 @@ from typing import Any, cast
 import numpy as np
 
 from dynaviz.errors import UsageError
-from dynaviz.explain.case_evidence import decided_by, evidence_text
+from dynaviz.explain.case_evidence import evidence_text
+from dynaviz.explain.deciding import decided_by
 from dynaviz.explain.document import Why, cause_at
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.rays import TouchingRays, rays_of, spans_of_rays

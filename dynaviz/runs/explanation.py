@@ -9,12 +9,12 @@ from collections.abc import Mapping, Sequence
 from dynaviz.contracts.evidence import Explains
 from dynaviz.contracts.plugin_code import plugin
 from dynaviz.engine.loop import RunSpec
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import DataError
 from dynaviz.explain.document import Why, cause_at
-from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.repeat import repeat
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.run import ELSEWHERE, Run, open_run
+from dynaviz.runs.stored_evidence import Asked, Stored
 from dynaviz.scores.result import Result
 from dynaviz.sources.opening import Source
 from dynaviz.sources.summary import summarize
@@ -22,37 +22,59 @@ from dynaviz.sources.summary import summarize
 
 def why(
     run: str | os.PathLike[str] | Result | Run,
-    frame: int,
-    point: int,
+    frame: int | None = None,
+    point: int | None = None,
     *,
+    case: int | None = None,
+    near: Sequence[float] | None = None,
+    again: bool = False,
     sequence: Source | None = None,
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Why:
-    """Explain the label of a point.
+    """Explain the label of a point: which scans decided it, and the verdict.
 
-    Every scan whose rays touched it, what each contributed, and the verdict.
-
-    The run is repeated to ask the method after each scan, so this takes as long as the run.
+    The recording of the run stores the evidence on the points of its cases, so these are answered
+    at once. For any other point the run is repeated, which takes as long as the run; ``Why.note``
+    says so.
 
     Args:
         run: a run's folder, ``result.json`` or ``run.rrd``; or a result, also of a run on arrays in
             this process.
         frame: position in the run, as in the recording and in failure cases.
         point: row in the scan of that frame.
+        case: number of a case, 1 for the first: its middle point is explained.
+        near: (x, y, z) metres, in the coordinates of the recording: the nearest point within 0.5 m
+            is explained, of ``frame`` if that is given.
+        again: repeat the run even if the recording has the answer.
         sequence: the run's sequence, open or as a path, if the data moved. A path is opened as the
             run opened it.
         threads: for kernels; None for all cores.
         progress: called with a phase, the number of frames done and their total.
 
     Raises:
-        UsageError: for a frame or point that does not exist, an unknown method, or a run without a
-            known sequence.
-        DataError: for files that cannot be read, a different sequence, or if the replay gives
-            different labels.
+        UsageError: for a frame, point, case or place that does not exist, an unknown method, or a
+            run without a known sequence.
+        DataError: for files that cannot be read, a different sequence, or if repeating the run
+            gives different labels.
     """
-    found = explain(run, {frame: [point]}, sequence=sequence, threads=threads, progress=progress)
-    return found[frame][0]
+    opened = run if isinstance(run, Run) else open_run(run)
+    asked = Asked(frame, point, case, None if near is None else (near[0], near[1], near[2]))
+    stored = Stored(opened)
+    found = stored.find(asked)
+    if found.ledger is not None and not again:
+        return stored.document(found.ledger, found.case, found.ledgers)
+    if found.place is None:
+        place = stored.place_in_sequence(asked, opened.sequence(sequence, progress))
+    else:
+        place = found.place
+    answer = explain(
+        opened, {place[0]: [place[1]]}, sequence=sequence, threads=threads, progress=progress
+    )[place[0]][0]
+    if not again:
+        note = "The run was repeated, because its recording has no evidence on this point."
+        answer = dataclasses.replace(answer, note=f"{note} {answer.note}".strip())
+    return answer
 
 
 def explain(
@@ -88,11 +110,12 @@ def explain(
         )
     elif not isinstance(spec.method, Explains):
         note = f"{info.name} states no evidence, so there is no ledger: only the rays are known."
+    stored = Stored(opened)
     facts = opened.result.method, info.title, spec.sequence.name, opened.result.online
     return {
         frame: tuple(
             Why(*facts, each, cause_at(opened.result, each), note)
-            for each in (_stored(opened, e) for e in found)
+            for each in (stored.with_case(e) for e in found)
         )
         for frame, found in zip(points, repeated.ledgers, strict=True)
     }
@@ -130,20 +153,3 @@ def _code(result: Result) -> tuple[str, str]:
     """Digests of the method's code now and when the run was made; empty if unknown."""
     found = plugin("methods", result.method)
     return found.sha256 if found else "", result.plugin.sha256 if result.plugin else ""
-
-
-def _stored(run: Run, ledger: PointLedger) -> PointLedger:
-    """The ledger with the number of the case, if the recording of the run stores that.
-
-    The boxes of cases overlap.
-    """
-    try:
-        recording = run.recording
-    except (DataError, UsageError):  # not recorded
-        return ledger
-    for number, case in enumerate(run.result.failures, 1):
-        if case.worst_frame == ledger.frame and any(
-            each.point == ledger.point for each in recording.ledgers(number)
-        ):
-            return dataclasses.replace(ledger, case=number)
-    return ledger

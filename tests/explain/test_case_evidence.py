@@ -16,7 +16,8 @@ import dynaviz as dv
 from dynaviz.contracts import registry
 from dynaviz.contracts.evidence import TESTS
 from dynaviz.contracts.method import Cause
-from dynaviz.explain.case_evidence import decided_by, evidence_of, evidence_text, flip
+from dynaviz.explain.case_evidence import evidence_of, evidence_text, flip
+from dynaviz.explain.deciding import decided_by
 from dynaviz.explain.document import cause_at
 from dynaviz.explain.point_ledger import PointLedger, TermValue
 from dynaviz.explain.strip import strip, what_if

@@ -157,12 +157,13 @@ export class PointPanel {
   }
 
   /** What decided, the strip of scans, what would flip it; the other rules and all scans are folded. */
-  #ledgerParts(letter, { ledger, evidence, note, strip, what_if: whatIf, decided }) {
+  #ledgerParts(letter, { ledger, evidence, note, strip, what_if: whatIf, decided, deciding }) {
     const on = this.on(letter), first = ledger.rules.find(rule => rule.name === decided), rest = ledger.rules.filter(rule => rule !== first)
     return [
       make('p', { class: 'evidence' }, evidence), note && make('p', { class: 'hint' }, note),
       first && make('ul', { class: 'rules' }, ruleElement(first)),
       strip.scans.length > 0 && scanStrip(strip, this.runs[letter].frames, on),
+      deciding.length > 0 && decidingTable(deciding, ledger.frame),
       whatIf && sliders(whatIf, null, on.start),
       rest.length > 0 && make('details', {}, make('summary', {}, `${rest.length} other rule${rest.length > 1 ? 's' : ''}`), make('ul', { class: 'rules' }, rest.map(ruleElement))),
       make('details', {}, make('summary', {}, `All ${ledger.entries.length} scans`), scanTable(ledger)),
@@ -172,6 +173,15 @@ export class PointPanel {
 
 function ruleElement(rule) {
   return make('li', { class: rule.holds ? 'holds' : '' }, make('b', {}, rule.holds ? 'Yes, so it is removed.' : 'No.'), ` ${rule.text}`)
+}
+
+/** The scans that decided, equal ones together, as the server words them. */
+function decidingTable(rows, own) {
+  const cell = (value, kind) => make('td', { class: kind }, value)
+  return make('table', { class: 'deciding' },
+    make('thead', {}, make('tr', {}, ['frames', 'hit', 'crossed', 'what it showed', 'so far'].map(name => make('th', { scope: 'col' }, name)))),
+    make('tbody', {}, rows.map(({ frames, span, hits, crossed, text, removed }) => make('tr', { class: frames[0] === own ? 'own' : null },
+      cell(span), cell(hits || '', 'hits'), cell(crossed || '', 'crosses'), cell(text, 'text'), cell(removed === null ? '' : removed ? 'removed' : 'kept')))))
 }
 
 function scanTable(ledger) {

@@ -209,7 +209,14 @@ class DufoMap:
         free = Quantity(
             "seen free", read(self._seen_free, voxels).astype(float), total=True, threshold=1
         )
-        around_it = Term("voxels observed in the cube around it", observed, ">=", cubes.shape[1])
+        around_it = Term(
+            "voxels observed in the cube around it",
+            observed,
+            ">=",
+            cubes.shape[1],
+            parameter="unknown_margin",
+            follows="otherwise",
+        )
         rule = Rule("void", (Term("hit by the scan", hit, "<", 1), around_it), lasting=True)
         return Evidence(
             voxels_around(asked.points, self.params.resolution), (saw, count, free), (rule,)

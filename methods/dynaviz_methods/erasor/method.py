@@ -342,10 +342,10 @@ class Erasor:
             Quantity("ratio", ratio, threshold=p.scan_ratio),
         )
         terms = (
-            Term("scan points in its bin", scan_points, ">=", p.min_points),
-            Term("ratio of heights", ratio, "<", p.scan_ratio),
+            Term("scan points in its bin", scan_points, ">=", p.min_points, "", "min_points"),
+            Term("ratio of heights", ratio, "<", p.scan_ratio, "", "scan_ratio"),
             Term("height of the map", map_height, ">=", scan_height, "m"),
-            Term("height of the map", map_height, ">", p.min_difference, "m"),
+            Term("height of the map", map_height, ">", p.min_difference, "m", "min_difference"),
             Term("ground of its bin", ground, "<", 1),
         )
         rule = self._far_rule(asked) if p.port else Rule("map higher", terms, lasting=True)

@@ -337,10 +337,13 @@ class HmmMos:
                 ">",
                 p.min_score,
                 parameter="min_score",
+                follows="otherwise",
             ),
         )
         score = _values_at(sums, occupied, voxels)
-        enough = Term("summed score", score, ">", p.min_score, parameter="min_score")
+        enough = Term(
+            "summed score", score, ">", p.min_score, parameter="min_score", follows="otherwise"
+        )
         was = _values_at(_among(last, occupied), occupied, voxels)
         above = (sums > threshold) | (_among(last, occupied) & (sums > p.min_score))
         near = np.isin(around(self._map, voxels), occupied[above]).sum(1)

@@ -304,9 +304,13 @@ class Removert:
         if p.scan_neighbours or p.port or p.revert_resolutions:
             rules = self._rules_of_all_scans(asked, shown, self._past[rows])
         else:
+            nearer = [
+                Term("its range", near, "<", limit, "m", "threshold", "complement")
+                for limit in limits
+            ]
             rules = tuple(
-                Rule(f"nearer {name}", (Term("its range", near, "<", limit, "m"),), lasting=True)
-                for name, limit in zip(shown, limits, strict=True)
+                Rule(f"nearer {name}", (term,), lasting=True)
+                for name, term in zip(shown, nearer, strict=True)
             )
         return Evidence(voxels_around(asked.points, p.voxel or EDGE), tuple(depths), rules)
 
@@ -322,7 +326,16 @@ class Removert:
             return (
                 Rule(
                     "left alone",
-                    (Term("density difference", difference, ">=", p.scan_difference, "m²"),),
+                    (
+                        Term(
+                            "density difference",
+                            difference,
+                            ">=",
+                            p.scan_difference,
+                            "m²",
+                            "scan_difference",
+                        ),
+                    ),
                 ),
             )
         revert = tuple(

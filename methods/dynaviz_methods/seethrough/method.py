@@ -446,12 +446,12 @@ class SeeThrough:
                 float(np.float32(p.ground_height)),
                 "m",
                 "ground_height",
+                "otherwise",
             ),
             Term("more than 4.5 m above the ground", measured.bands[rows] == TOO_HIGH, "<", 1),
         )
-        place = Term(
-            "evidence of its place, with what it inherits, less the prior", total, ">", 0.0
-        )
+        prior = float(np.float32(decision.prior))
+        place = Term("evidence", total + prior, ">", prior, parameter="prior", follows="otherwise")
         under = self._under(measured, judged.reasons)
         stands = Term("height above the ground", height, ">", float(np.float32(EXACT)), "m")
         near = Term(
@@ -461,7 +461,7 @@ class SeeThrough:
         return (
             Rule("place", (*up, place)),
             Rule("foot", (near, stands)),
-            Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(decision.prior))))),
+            Rule("empty foot", (near, Term(name, empty, ">", prior, "", "prior", "otherwise"))),
         )
 
     def _show(self, measured: Measured, marks: Marks, near: U64) -> None:
