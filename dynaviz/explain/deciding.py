@@ -221,7 +221,7 @@ def _text(
         wrong = [k for k, term in enumerate(terms) if not term.holds]
         if not wrong:
             return f"{rule.name}: all hold"
-        known = [k for k in wrong if terms[k].value is not None] or wrong
+        known = [k for k in wrong if gap(terms[k]) < float("inf")] or wrong
         best = [min((scan_terms(entry, rule)[k] for entry in entries), key=gap) for k in known]
         return "; ".join(map(failed, best))
     if rule is not None and rule.frame is not None and rule.name in last.holds:

@@ -16,7 +16,7 @@ import numpy as np
 from dynaviz.errors import UsageError
 from dynaviz.explain.case_evidence import evidence_text
 from dynaviz.explain.deciding import decided_by
-from dynaviz.explain.document import Why, cause_at
+from dynaviz.explain.document import Why
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.rays import TouchingRays, rays_of, spans_of_rays
 from dynaviz.explain.strip import strip, what_if
@@ -33,6 +33,7 @@ from dynaviz.runs.relabelling import (
     read_corrections,
     rescore,
 )
+from dynaviz.runs.stored_evidence import Stored
 from dynaviz.views.read.focus import CASE, LAYOUTS, MAP
 from dynaviz.views.read.shot import LARGEST, shot
 
@@ -172,7 +173,8 @@ class Explored:
         stored = run.stored(frame, point)
         if stored is not None and ("exact" not in query or not stored[1]):
             ledger, metres = stored
-            return {"why": self._shown(letter, self._stored_why(run, ledger)), "metres": metres}
+            document = Stored(run.run).document(ledger)
+            return {"why": self._shown(letter, document), "metres": metres}
         if stored is None and "exact" not in query:
             run.point(frame, point)  # or the replay would find out after a while
             return {"seconds": run.replay_s}
@@ -181,17 +183,6 @@ class Explored:
             {"why": self._shown(letter, answer), "metres": 0.0}
             if isinstance(answer, Why)
             else answer
-        )
-
-    def _stored_why(self, run: ExploredRun, ledger: PointLedger) -> Why:
-        result = run.result
-        return Why(
-            result.method,
-            run.title,
-            result.sequence.name,
-            result.online,
-            ledger,
-            cause_at(result, ledger),
         )
 
     def _shown(self, letter: str, why: Why) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def why(
     stored = Stored(opened)
     found = stored.find(asked)
     if found.ledger is not None and not again:
-        return stored.document(found.ledger, found.case, found.ledgers)
+        return stored.document(found.ledger, case, found.ledgers)
     if found.place is None:
         place = stored.place_in_sequence(asked, opened.sequence(sequence, progress))
     else:
@@ -71,7 +71,7 @@ def why(
     answer = explain(
         opened, {place[0]: [place[1]]}, sequence=sequence, threads=threads, progress=progress
     )[place[0]][0]
-    if not again:
+    if stored.recorded and not again:
         note = "The run was repeated, because its recording has no evidence on this point."
         answer = dataclasses.replace(answer, note=f"{note} {answer.note}".strip())
     return answer

@@ -86,6 +86,11 @@ class Stored:
             self._recording = run.recording
 
     @property
+    def recorded(self) -> bool:
+        """Whether the run has a recording."""
+        return self._recording is not None
+
+    @property
     def cases(self) -> Sequence[FailureCase | RemovedCluster]:
         """The cases of the run; without ground truth the clusters of removed points."""
         result = self._run.result
@@ -151,9 +156,12 @@ class Stored:
         return asked.frame, row
 
     def document(
-        self, ledger: PointLedger, case: int | None, ledgers: Sequence[PointLedger]
+        self,
+        ledger: PointLedger,
+        case: int | None = None,
+        ledgers: Sequence[PointLedger] = (),
     ) -> Why:
-        """The document on a stored point."""
+        """The document on a stored point, and on the case that was asked about."""
         result = self._run.result
         recording = self._recording
         assert recording is not None

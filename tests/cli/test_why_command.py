@@ -103,3 +103,66 @@ def test_wrong_arguments_give_one_line(run_command: Command, run: Path) -> None:
         assert not out
         assert problem in err
         assert sum("dynaviz:" in line for line in err.splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def recorded(folder: Path) -> Path:
+    """A recorded run with cases, whose data are gone afterwards."""
+    convert(room(frames=6, rays=900), folder / "other")
+    api.run("octomap", folder / "other", out=folder / "recorded", settings=("resolution=0.3",))
+    (folder / "other").rename(folder / "moved_away")
+    return folder / "recorded"
+
+
+def test_cases_and_places_are_answered_from_the_recording(
+    run_command: Command, recorded: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "why.json"
+    code, out, err = run_command("why", recorded, "--case", 1, "--json", file)
+    assert code == 0, err
+    assert "Case 1 of " in out
+    assert "repeated" not in out
+    found = json.loads(file.read_bytes())
+    assert found["deciding"]
+    assert all(row["span"] for row in found["deciding"])
+    x, y, z = found["ledger"]["position"]
+    for words in (
+        ("--near", f"{x:.2f},{y:.2f},{z:.2f}"),
+        ("--frame", found["ledger"]["frame"], "--point", found["ledger"]["point"]),
+    ):
+        code, out, err = run_command("why", recorded, *words, "--json", file)
+        assert code == 0, err
+        again = json.loads(file.read_bytes())
+        assert again["ledger"]["position"] == pytest.approx([x, y, z], abs=0.02)
+    code, out, err = run_command("why", recorded, "--case", 1, "--again")
+    assert code == 2  # it would need the data
+    assert "--sequence" in err
+
+
+def test_a_point_without_stored_evidence_repeats_the_run_and_says_so(
+    run_command: Command, run: Path
+) -> None:
+    code, out, err = run_command("why", run, "--frame", 1, "--near", "-2.92,-5.96,4.0")
+    assert code == 0, err
+    assert "The run was repeated, because its recording has no evidence on this point." in out
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ((), "ask about one thing: --frame F --point P, --case N, or --near X,Y,Z"),
+        (("--case", 1, "--near", "0,0,0"), "ask about one thing"),
+        (("--case", 1, "--frame", 0), "leave out --frame"),
+        (("--point", 1), "point 1: give its frame, too"),
+        (("--case", 999), "case 999: the run has the cases 1 to "),
+        (("--near", "1,2"), "--near 1,2: give three numbers"),
+        (("--near", "900,0,0"), "900,0,0: no recorded point is within 0.5 m"),
+        (("--near", "900,0,0", "--frame", 1), "frame 1 has no point within 0.5 m; the nearest is"),
+    ],
+)
+def test_questions_that_cannot_be_answered(
+    run_command: Command, run: Path, words: tuple[object, ...], problem: str
+) -> None:
+    code, _, err = run_command("why", run, *words)
+    assert code == 2
+    assert problem in err

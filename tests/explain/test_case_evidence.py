@@ -17,7 +17,7 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.evidence import TESTS
 from dynaviz.contracts.method import Cause
 from dynaviz.explain.case_evidence import evidence_of, evidence_text, flip
-from dynaviz.explain.deciding import decided_by
+from dynaviz.explain.deciding import decided_by, deciding_scans, scan_terms
 from dynaviz.explain.document import cause_at
 from dynaviz.explain.point_ledger import PointLedger, TermValue
 from dynaviz.explain.strip import strip, what_if
@@ -83,8 +83,10 @@ def test_the_numbers_of_the_evidence_are_those_of_the_ledgers(recording: RunReco
         assert found.crossed == median(
             sum(entry.crossed > 0 for entry in ledger.entries) for ledger in ledgers
         )
-        assert f"hit by {found.hit:g} scan" in found.text
-        assert f"crossed by {found.crossed:g} of {found.searched}" in found.text
+        assert found.text.startswith("Removed: " if found.removed else "Kept: ")
+        assert (f"{found.hit:g} hit it" if found.hit else "none hit it") in found.text
+        seen = f"{found.crossed:g} of {found.searched} scans saw" if found.crossed else "none of"
+        assert seen in found.text
         assert found.deciding is not None
         for term in found.deciding.terms:
             assert term.holds == found.removed
@@ -312,3 +314,63 @@ def test_the_page_draws_each_scan_once(recording: RunRecording) -> None:
         assert asked is None or all(
             p["value"] == recording.parameters[p["name"]] for p in asked["parameters"]
         )
+
+
+def test_a_rule_that_one_scan_fulfils_follows_from_the_numbers_of_the_scans(
+    recording: RunRecording,
+) -> None:
+    """The stored terms of single scans give the verdict, and the numbers that are quoted."""
+    for _, ledgers in cases(recording):
+        for ledger in ledgers:
+            for rule in ledger.rules:
+                if rule.frame is None:
+                    continue
+                by_frame = {
+                    entry.frame: terms
+                    for entry in ledger.entries
+                    if (terms := scan_terms(entry, rule))
+                }
+                held = [all(term.holds for term in terms) for terms in by_frame.values()]
+                assert rule.holds == any(held)
+                if rule.frame in by_frame:
+                    assert [(t.value, t.holds) for t in by_frame[rule.frame]] == [
+                        (t.value, t.holds) for t in rule.terms
+                    ]
+
+
+def test_a_kept_point_quotes_the_scan_that_failed_by_least(recording: RunRecording) -> None:
+    for _, ledgers in cases(recording):
+        for ledger in ledgers:
+            rule = decided_by(ledger)
+            if ledger.removed or rule is None or rule.frame is None:
+                continue
+            most = max(
+                (
+                    sum(t.holds for t in terms)
+                    for e in ledger.entries
+                    if (terms := scan_terms(e, rule))
+                ),
+                default=0,
+            )
+            assert sum(term.holds for term in rule.terms) >= most
+
+
+def test_deciding_scans_add_up_to_the_ledger(recording: RunRecording) -> None:
+    """Each scan is in one row at most, in order; changes in rows add up to those of the scans."""
+    for _, ledgers in cases(recording):
+        for ledger in ledgers:
+            rows = deciding_scans(ledger)
+            frames = [frame for row in rows for frame in row.frames]
+            assert frames == sorted(frames)
+            assert any(row.frames[0] == ledger.frame == row.frames[1] for row in rows)
+            assert sum(row.scans for row in rows) <= len(ledger.entries)
+            inside = [
+                entry
+                for entry in ledger.entries
+                if any(row.frames[0] <= entry.frame <= row.frames[1] for row in rows)
+            ]
+            assert sum(row.hits for row in rows) <= sum(entry.hits for entry in inside)
+            verdicts = [entry.removed for entry in ledger.entries if entry.removed is not None]
+            turned = [row.removed for row in rows if row.removed is not None]
+            if verdicts:
+                assert (turned[-1] if turned else False) == verdicts[-1]
