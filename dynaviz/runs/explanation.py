@@ -14,7 +14,7 @@ from dynaviz.explain.document import Why, cause_at
 from dynaviz.explain.repeat import repeat
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.run import ELSEWHERE, Run, open_run
-from dynaviz.runs.stored_evidence import Asked, Stored
+from dynaviz.runs.stored_evidence import Question, Stored
 from dynaviz.scores.result import Result
 from dynaviz.sources.opening import Source
 from dynaviz.sources.summary import summarize
@@ -59,7 +59,7 @@ def why(
             gives different labels.
     """
     opened = run if isinstance(run, Run) else open_run(run)
-    asked = Asked(frame, point, case, None if near is None else (near[0], near[1], near[2]))
+    asked = Question(frame, point, case, None if near is None else (near[0], near[1], near[2]))
     stored = Stored(opened)
     found = stored.find(asked)
     if found.ledger is not None and not again:

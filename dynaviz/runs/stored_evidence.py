@@ -31,7 +31,7 @@ EARLIER = (
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Question:
     """What a user asks about: a point, a case, or the point nearest to a place.
 
     Attributes:
@@ -100,7 +100,7 @@ class Stored:
         """Those of a case, 1 for the first; none if none are stored."""
         return () if self._recording is None else self._recording.ledgers(case)
 
-    def find(self, asked: Asked) -> Found:
+    def find(self, asked: Question) -> Found:
         """The answer to a question, or the point that it is about.
 
         Raises:
@@ -119,7 +119,7 @@ class Stored:
                     return Found(ledger, case, ledgers, place)
         return Found(None, place=place)
 
-    def place_in_sequence(self, asked: Asked, sequence: Scans) -> tuple[int, int]:
+    def place_in_sequence(self, asked: Question, sequence: Scans) -> tuple[int, int]:
         """Frame and row of a point that the recording does not know.
 
         Raises:
