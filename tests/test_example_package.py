@@ -1,4 +1,4 @@
-"""A method from another package, installed for real."""
+"""Methods from other packages, installed for real."""
 
 from __future__ import annotations
 
@@ -8,14 +8,24 @@ from pathlib import Path
 import pytest
 from helpers.installed_packages import python_with
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples/dufomap_wheel"
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+PROGRAMS = {  # of each method: the module of the public program, the package, and a parameter
+    "dufomap_wheel": ("dufomap", "dufomap", "d_s=0.3"),
+    "dor_wheel": ("dynamic_object_removal", "dynamic-object-removal", "free_votes_fraction=0.3"),
+}
 Code = Callable[..., str]
 
 
+@pytest.fixture(scope="module", params=PROGRAMS)
+def name(request: pytest.FixtureRequest) -> str:
+    """The name of a method, and of the folder of its package."""
+    return str(request.param)
+
+
 @pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Code:
+def python(name: str, tmp_path_factory: pytest.TempPathFactory) -> Code:
     """Run code with the example installed in addition to everything else."""
-    call = python_with(EXAMPLE, tmp_path_factory.mktemp("site"))
+    call = python_with(EXAMPLES / name, tmp_path_factory.mktemp("site"))
 
     def run(code: str, *arguments: str) -> str:
         done = call("-c", code, *arguments)
@@ -25,21 +35,24 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Code:
     return run
 
 
-def test_it_is_listed_and_configured_as_any_other(python: Code) -> None:
+def test_it_is_listed_and_configured_as_any_other(python: Code, name: str) -> None:
     main = "from dynaviz.cli import main; main()"
-    assert "dynaviz-dufomap-wheel 0.1.0" in python(main, "list", "methods")
+    assert f"dynaviz-{name.replace('_', '-')} 0.1.0" in python(main, "list", "methods")
+    setting = PROGRAMS[name][2]
+    parameter, _, value = setting.partition("=")
     row = next(
         line
-        for line in python(main, "list", "dufomap_wheel", "--set", "d_s=0.3").splitlines()
-        if "d_s" in line
+        for line in python(main, "list", name, "--set", setting).splitlines()
+        if parameter in line
     )
-    assert "0.3" in row
+    assert value in row
     assert "--set" in row
 
 
-def test_it_conforms(python: Code) -> None:
-    pytest.importorskip("dufomap", reason="needs the public program: pip install dufomap")
+def test_it_conforms(python: Code, name: str) -> None:
+    module, package, _ = PROGRAMS[name]
+    pytest.importorskip(module, reason=f"needs the public program: pip install {package}")
     python(
-        "from dynaviz import registry, testing; testing.check_method(registry.load('methods', "
-        "'dufomap_wheel'))"
+        "from dynaviz import testing; from dynaviz.contracts import registry; "
+        f"testing.check_method(registry.load('methods', '{name}'))"
     )
