@@ -78,7 +78,7 @@ def bench(
         learning = [source for source in checked.sources if source.name not in checked.holdout]
         rows = runner.rows(checked.sets, learning)
         if not checked.search:
-            return Leaderboard(rows)
+            return Leaderboard(rows, seeds=checked.seeds)
         tried, searches = search.search(runner, checked.search, learning, folder)
         best = [
             found.best

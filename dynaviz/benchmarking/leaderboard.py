@@ -6,17 +6,21 @@ One row per cell, totals over sequences by adding counts, and the results of a s
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import statistics
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dynaviz.benchmarking.plan import BenchCell, ParameterSet
+from dynaviz.benchmarking.plan import BenchCell, ParameterSet, without_seed
 from dynaviz.scores.collect import combined
 from dynaviz.scores.result import Result
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+SHOWN = ("SA", "DA", "AA")
+"""The scores of which the spread over seeds is stated."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,46 @@ class SearchResult:
 
 
 @dataclass(frozen=True)
+class SeedSpread:
+    """What a method scores over several seeds of itself and of the scene.
+
+    Attributes:
+        sequence, method, variant: without the seed.
+        seeds: how many runs there are.
+        mean, deviation: of SA, DA and AA in percent; the deviation is that of a sample (N - 1).
+            Undefined scores are left out, and None without any, or without two for a deviation.
+    """
+
+    sequence: str
+    method: str
+    variant: str
+    seeds: int
+    mean: Mapping[str, float | None]
+    deviation: Mapping[str, float | None]
+
+    @classmethod
+    def of(cls, sequence: str, method: str, variant: str, results: Sequence[Result]) -> SeedSpread:
+        """From the results of each seed."""
+        known = {
+            name: [value for each in results if (value := each.metrics.get(name)) is not None]
+            for name in SHOWN
+        }
+        mean = {name: statistics.fmean(of) if of else None for name, of in known.items()}
+        deviation = {
+            name: statistics.stdev(of) if len(of) > 1 else None for name, of in known.items()
+        }
+        return cls(sequence, method, variant, len(results), mean, deviation)
+
+    def text(self, name: str) -> str:
+        """A score in words."""
+        mean = self.mean[name]
+        spread = self.deviation[name]
+        if mean is None:
+            return "n/a"
+        return f"{mean:.2f}" if spread is None else f"{mean:.2f} ± {spread:.2f}"
+
+
+@dataclass(frozen=True)
 class Leaderboard:
     """All rows of a bench; printing it with rich shows a leaderboard.
 
@@ -69,12 +113,34 @@ class Leaderboard:
         holdout: names of the held-out sequences.
         searches: one for each method whose parameters were searched.
         trials: the rows of all trials except the best.
+        seeds: of methods and scenes; with several, ``spreads`` says how much they matter.
     """
 
     rows: list[BenchRow]
     holdout: frozenset[str] = frozenset()
     searches: list[SearchResult] = field(default_factory=list)
     trials: list[BenchRow] = field(default_factory=list)
+    seeds: tuple[int, ...] = ()
+
+    @property
+    def spreads(self) -> list[SeedSpread]:
+        """Mean and deviation over the seeds of each method on each sequence, in their order.
+
+        Empty for fewer than two seeds. Cells that failed are left out.
+        """
+        groups: dict[tuple[str, str, str], list[Result]] = {}
+        for row in self.rows if len(self.seeds) > 1 else ():
+            used = row.cell.parameter_set
+            key = (
+                without_seed(row.cell.source.name)
+                if row.cell.source.scene
+                else row.cell.source.name,
+                used.method,
+                without_seed(used.variant),
+            )
+            if row.result:
+                groups.setdefault(key, []).append(row.result)
+        return [SeedSpread.of(*key, results) for key, results in groups.items()]
 
     @property
     def results(self) -> list[Result]:
@@ -122,6 +188,24 @@ class Leaderboard:
         ):
             if results:
                 parts.append(result_table(_ranked(results) + _ranked(totals), title=title))
+        if spreads := self.spreads:
+            of = ", ".join(map(str, self.seeds))
+            title = f"Mean ± standard deviation over the seeds {of}"
+            table = Table(
+                "sequence",
+                "method",
+                "runs",
+                *SHOWN,
+                box=None,
+                pad_edge=False,
+                title=title,
+                title_justify="left",
+            )
+            for each in spreads:
+                name = "-".join(filter(None, (each.method, each.variant)))
+                cells = (each.sequence, name, str(each.seeds), *map(each.text, SHOWN))
+                table.add_row(*map(escape, cells))
+            parts.append(table)
         if self.failed:
             table = Table(
                 "sequence",

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,16 @@ class SequenceSpec:
     scene: str = ""
     sweeps: int | None = None
     seed: int = 0
+
+    def seeded(self, seeds: Sequence[int]) -> list[SequenceSpec]:
+        """A simulated scene with each of the seeds; any other sequence as it is."""
+        if not self.scene or not seeds:
+            return [self]
+        name = without_seed(self.name)
+        return [
+            dataclasses.replace(self, name=f"{name}-seed{seed}" if seed else name, seed=seed)
+            for seed in seeds
+        ]
 
 
 @dataclass(frozen=True)
@@ -80,6 +90,19 @@ class ParameterSet:
             bool(online if online is not None else resolved.online),
             seed if seed is not None else resolved.seed or 0,
         )
+
+    def seeded(self, seeds: Sequence[int]) -> list[ParameterSet]:
+        """The set with each of the seeds, named after them if there are several."""
+        return [
+            dataclasses.replace(
+                self,
+                seed=seed,
+                variant="-".join(filter(None, (self.variant, f"seed{seed}")))
+                if len(seeds) > 1
+                else self.variant,
+            )
+            for seed in seeds
+        ] or [self]
 
     def changed(self, values: Mapping[str, Any]) -> ParameterSet:
         """A copy with other values for some parameters, named after them."""
@@ -139,6 +162,7 @@ class BenchPlan:
         holdout: names of the sequences that are hidden from the search.
         search: None without a search.
         record, workers, timing: as the keys of the file.
+        seeds: of methods and simulated scenes; empty if each has its own.
     """
 
     sets: tuple[ParameterSet, ...]
@@ -148,6 +172,17 @@ class BenchPlan:
     record: str = "errors"
     workers: int = 1
     timing: bool = False
+    seeds: tuple[int, ...] = ()
+
+    def pairs(self, source: SequenceSpec, parameter_set: ParameterSet) -> bool:
+        """Whether the set runs on the sequence: with several seeds, on scenes of its own seed."""
+        several = len(self.seeds) > 1 and bool(source.scene)
+        return not several or source.seed == parameter_set.seed
+
+
+def without_seed(name: str) -> str:
+    """The name of a scene or variant without the seed at its end."""
+    return re.sub(r"-?seed\d+$", "", name)
 
 
 def settings(values: Mapping[str, Any]) -> tuple[str, ...]:

@@ -42,6 +42,7 @@ KEYS: dict[str, dict[str, Any]] = {
         "grid": dict,
         "search": dict,
         "holdout": list,
+        "seeds": list,
         "record": str,
         "workers": int,
         "timing": bool,
@@ -88,19 +89,22 @@ def plan_of(table: Mapping[str, Any], place: str = "bench") -> BenchPlan:
         _opened_with(_source(entry, f"{place} [[sequences]] {n}"), opening)
         for n, entry in _numbered(table, "sequences")
     ]
+    seeds = _seeds(table.get("seeds", []), place)
+    sources = [each for source in sources for each in source.seeded(seeds)]
     held = [_held(entry, sources) for entry in table.get("holdout", [])]
     sources += [source for source in held if source not in sources]
     record = table.get("record")
     workers = table.get("workers", 1)
     timing = table.get("timing", False)
     plan = BenchPlan(
-        tuple(_sets(table, search, place)),
+        tuple(each for one in _sets(table, search, place) for each in one.seeded(seeds)),
         tuple(sources),
         frozenset(source.name for source in held),
         search,
         record or ("none" if timing else "errors"),
         workers,
         timing,
+        seeds,
     )
     _check(plan, place)
     return plan
@@ -353,6 +357,16 @@ def _located(place: str) -> Iterator[None]:
         raise UsageError(f"{place}: {str(error).removeprefix('settings: ')}") from None
 
 
+def _seeds(given: list[Any], place: str) -> tuple[int, ...]:
+    """The seeds of methods and simulated scenes."""
+    for seed in given:
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**32:
+            raise UsageError(f"{place}: seeds = {given}: give whole numbers from 0 to 2^32 - 1")
+    if len(set(given)) < len(given):
+        raise UsageError(f"{place}: seeds = {given}: give each seed once")
+    return tuple(given)
+
+
 def _search(table: Mapping[str, Any], place: str) -> SearchSpec:
     table = checked(table, "search", place)
     kinds = ("random", "bayes")
@@ -392,6 +406,8 @@ def _check(plan: BenchPlan, place: str) -> None:
             f"{place}: timing runs one cell at a time without a recording. Leave out workers and "
             "record"
         )
+    if len(plan.seeds) > 1 and plan.search:
+        raise UsageError(f"{place}: a search takes one seed. Leave out search, or give one seed")
     if plan.holdout and not plan.search:
         raise UsageError(f"{place}: holdout needs a search. Add --search bayes --trials N")
     for kind, names in (

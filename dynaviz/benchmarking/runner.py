@@ -62,7 +62,12 @@ class CellRunner:
         Return the rows sequence by sequence, in the given order.
         """
         sets = list(sets)
-        wanted = [self._cell(source, parameter_set) for source in sources for parameter_set in sets]
+        wanted = [
+            self._cell(source, parameter_set)
+            for source in sources
+            for parameter_set in sets
+            if self.plan.pairs(source, parameter_set)
+        ]
         new = {cell.path: cell for cell in wanted if cell.path not in self._ended}
         self.callbacks.planned(len(new))
         todo = []

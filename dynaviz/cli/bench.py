@@ -103,7 +103,20 @@ def bench(
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Random seed of the search. [default: 0]")
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Random seed of methods, of simulated scenes, and of the search. [default: 0]",
+        ),
+    ] = None,
+    seeds: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,N,...",
+            help="Run methods and simulated scenes with each of these seeds; shows mean and "
+            "deviation.",
+        ),
     ] = None,
     quiet: Quiet = False,
     *,
@@ -116,6 +129,7 @@ def bench(
     \b
     dynaviz bench -s path/to/sequence -s simulate:demo:20 -o bench
     dynaviz bench bench.toml -o bench --workers 4
+    dynaviz bench -s simulate:street_hdl64:40 --seeds 0,1,2 -o bench
     dynaviz bench -m octomap -s SEQ --grid octomap.resolution=0.05,0.1,0.2 -o bench
     dynaviz bench -m octomap -s A -s B --holdout B --search bayes --trials 30 \\
             --range octomap.resolution=log:0.05:0.4 -o bench
@@ -138,6 +152,7 @@ def bench(
         timing=timing,
         record=record and record.value,
         holdout=holdout,
+        seeds=_seeds(seed, seeds),
     )
     table |= _grid_and_search(table, grid, search, trials, ranges, seed)
     try:
@@ -152,6 +167,25 @@ def bench(
     show(board, *map(escape, _summary(board, out)))
     if board.failed:
         raise typer.Exit(1)
+
+
+def _seeds(seed: int | None, seeds: str | None) -> list[int] | None:
+    """The seeds of methods and scenes.
+
+    Raises:
+        UsageError: if both are given, or the seeds are not numbers.
+    """
+    from dynaviz.errors import UsageError
+
+    if seeds is None:
+        return None if seed is None else [seed]
+    if seed is not None:
+        raise UsageError("--seed and --seeds exclude each other. Give one of them")
+    try:
+        return [int(each) for each in seeds.split(",")]
+    except ValueError:
+        problem = f"--seeds {seeds}: are not whole numbers"
+        raise UsageError(f"{problem}. Give them with commas, such as --seeds 0,1,2") from None
 
 
 def _overridden(timing: bool, scheduler: str | None) -> tuple[str, ...]:
@@ -183,7 +217,9 @@ def _grid_and_search(
     for text in grid or []:
         method, name, values = assignment(text, "--grid")
         given.setdefault("grid", {}).setdefault(method, {})[name] = values_of(values)
-    options = _given(kind=search and search.value, trials=trials, seed=seed)
+    options = _given(kind=search and search.value, trials=trials)
+    if seed is not None and (options or ranges or table.get("search")):
+        options["seed"] = seed
     for text in ranges or []:
         method, name, values = assignment(text, "--range")
         options.setdefault("ranges", {}).setdefault(method, {})[name] = values.strip()

@@ -28,9 +28,16 @@ def report(
     format: Annotated[
         str | None,
         typer.Option(
-            help="html, md, csv, an installed plug-in, or board for a leaderboard as a static "
-            "site. "
+            help="html, md, latex, csv, an installed plug-in, or board for a leaderboard as a "
+            "static site. "
             "[default: by the suffix of -o, otherwise md]"
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="For md and latex: columns to keep in addition to the first, such as SA,DA,AA.",
         ),
     ] = None,
     sequences: Annotated[
@@ -46,6 +53,7 @@ def report(
 
     \b
     dynaviz report recordings/demo -o report.html
+    dynaviz report bench/ -o table.tex --columns SA,DA,AA
     dynaviz report bench/ elsewhere/result.json --format csv > runs.csv
     dynaviz report recordings/demo --format board
 
@@ -62,7 +70,8 @@ def report(
     from dynaviz.reports.reporting import report as write_report
 
     with progress("report", unit="steps") as show_progress:
-        text = write_report(*results, out=out, format=format, progress=show_progress)
+        names = [name.strip() for name in (columns or "").split(",") if name.strip()]
+        text = write_report(*results, out=out, format=format, columns=names, progress=show_progress)
     if out is None:
         sys.stdout.write(text)
     else:

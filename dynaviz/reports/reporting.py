@@ -17,7 +17,7 @@ from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.collect import HINT, StudyRun, collect
 
-SUFFIXES = {"htm": "html", "markdown": "md"}  # in addition to the names of formats
+SUFFIXES = {"htm": "html", "markdown": "md", "tex": "latex"}  # in addition to the names of formats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +44,8 @@ class Study:
         protocols: by name; only for a board.
         scores: of each run by the name of the protocol, by the run's file; only for a board.
         remarks: why a run has no such scores, by the run's file.
+        columns: names of the columns that tables in Markdown and LaTeX keep, in addition to the
+            first; empty for all.
     """
 
     runs: Sequence[StudyRun]
@@ -52,6 +54,7 @@ class Study:
     protocols: Mapping[str, type[EvaluationProtocol]] = field(default_factory=dict)
     scores: Mapping[Path, Mapping[str, ProtocolScores]] = field(default_factory=dict)
     remarks: Mapping[Path, str] = field(default_factory=dict)
+    columns: Sequence[str] = ()
 
     def link(self, path: Path) -> str:
         """A path relative to the report, with forward slashes."""
@@ -86,6 +89,7 @@ def report(
     *paths: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
     format: str | None = None,
+    columns: Sequence[str] = (),
     progress: Progress = silent,
 ) -> str:
     """Write a report on one or many results: tables and figures.
@@ -93,9 +97,11 @@ def report(
     Args:
         paths: folders that contain results, or ``result.json`` files.
         out: the file to write, or None.
-        format: ``html``, ``md``, ``csv`` or another installed format (entry point group
+        format: ``html``, ``md``, ``latex``, ``csv`` or another installed format (entry point group
             ``dynaviz.reports``). Default: the format of the suffix of ``out``, or ``md`` without
             ``out``.
+        columns: for ``md`` and ``latex``: names of the columns to keep, such as ``SA`` and ``AA``,
+            in addition to the first; a table that has none of them keeps all.
         progress: called with a phase, the number of finished steps, and the total number of steps.
 
     Returns:
@@ -109,7 +115,7 @@ def report(
         raise UsageError(f"no results. {HINT}")
     render = registry.load("reports", format or _format(out))
     home = Path() if out is None else Path(out).parent
-    text: str = render(Study(collect(paths), home, progress))
+    text: str = render(Study(collect(paths), home, progress, columns=columns))
     if out is not None:
         write_atomic(out, text.encode())
     return text

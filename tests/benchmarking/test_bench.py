@@ -87,6 +87,27 @@ def test_a_failed_or_killed_cell_is_a_row_and_the_others_continue(
     assert "this method cannot" in text
 
 
+def test_the_spread_over_seeds_follows_from_the_runs(
+    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
+) -> None:
+    table = {"methods": ["octomap_gf"], "record": "none", "sequences": [str(rooms[0])]}
+    board = bench({**table, "seeds": [0, 1, 2]}, tmp_path)
+    assert {row.cell.parameter_set.seed: row.result.seed for row in board.rows} == {
+        0: 0,
+        1: 1,
+        2: 2,
+    }
+    (spread,) = board.spreads
+    known = [row.result.metrics["SA"] for row in board.rows]
+    assert (spread.sequence, spread.method, spread.variant, spread.seeds) == (
+        "one", "octomap_gf", "", 3,
+    )  # fmt: skip
+    assert spread.mean["SA"] == pytest.approx(np.mean(known))
+    assert spread.deviation["SA"] == pytest.approx(np.std(known, ddof=1))
+    assert "Mean ± standard deviation over the seeds 0, 1, 2" in shown(board)
+    assert bench(table, tmp_path / "one").spreads == []
+
+
 @pytest.mark.skipif(
     not Path("/proc/self/clear_refs").exists(), reason="elsewhere, each cell has its own process"
 )

@@ -233,3 +233,27 @@ def test_settings_give_back_the_same_parameters() -> None:
     parameter_set = ParameterSet.of("removert", "", {"resolutions": [2.5, 1e-7]})
     assert ParameterSet.of("removert", "", parameter_set.parameters) == parameter_set
     assert "resolutions" in settings(parameter_set.parameters)[0]
+
+
+def test_seeds_are_those_of_methods_and_scenes() -> None:
+    table = {"methods": ["octomap"], "sequences": [HALL, {"path": "a"}], "seeds": [0, 3]}
+    plan = plan_of(table)
+    assert [(each.variant, each.seed) for each in plan.sets] == [("seed0", 0), ("seed3", 3)]
+    assert [(each.name, each.seed) for each in plan.sources] == [
+        ("hall_vlp16", 0),
+        ("hall_vlp16-seed3", 3),
+        ("a", 0),
+    ]
+    pairs = [(s.name, m.seed) for s in plan.sources for m in plan.sets if plan.pairs(s, m)]
+    assert pairs == [("hall_vlp16", 0), ("hall_vlp16-seed3", 3), ("a", 0), ("a", 3)]
+    one = plan_of({**table, "seeds": [3]})
+    assert [(each.variant, each.seed) for each in one.sets] == [("", 3)]
+    assert [each.seed for each in one.sources] == [3, 0]
+
+
+@pytest.mark.parametrize(
+    ("seeds", "problem"), [([1, 1], "each seed once"), (["a"], "whole numbers"), ([-1], "2^32 - 1")]
+)
+def test_wrong_seeds_are_named(seeds: list[object], problem: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(problem)):
+        plan_of({"methods": ["octomap"], "sequences": [HALL], "seeds": seeds})

@@ -86,6 +86,22 @@ def test_a_seed_below_zero_is_refused(run_command: Command, tmp_path: Path) -> N
     assert (code, err.count("\n"), "--seed" in err) == (2, 1, True), err
 
 
+def test_a_seed_without_a_search_is_that_of_methods(
+    run_command: Command, planned: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    words = ("bench", "-s", "simulate:demo", "-o", tmp_path)
+    assert run_command(*words, "--seed", 4)[0] == 0
+    assert run_command(*words, "--seeds", "0,2")[0] == 0
+    assert [(each["seeds"], each.get("search")) for each in planned] == [
+        ([4], None),
+        ([0, 2], None),
+    ]
+    code, _, err = run_command(*words, "--seeds", "0,a")
+    assert (code, "Give them with commas" in err) == (2, True)
+    code, _, err = run_command(*words, "--seeds", "0,1", "--seed", 1)
+    assert (code, "exclude each other" in err) == (2, True)
+
+
 def test_an_error_is_shown_unchanged(
     run_command: Command,
     monkeypatch: pytest.MonkeyPatch,

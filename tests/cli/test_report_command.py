@@ -84,7 +84,7 @@ def broken(folder: Path, name: str, content: str) -> Path:
     [
         (lambda folder: (folder.parent / "nowhere",), "does not exist"),
         (lambda folder: (folder.parent / "empty",), "contains no result.json"),
-        (lambda folder: (folder, "-o", "x.docx"), "Give --format csv|html|md"),
+        (lambda folder: (folder, "-o", "x.docx"), "Give --format csv|html|latex|md"),
         (lambda folder: (folder, "--format", "htlm"), "Did you mean 'html'?"),
         (lambda folder: (broken(folder, "result.json", "{"),), "b/result.json: not valid JSON"),
         (

@@ -133,10 +133,14 @@ def test_combined_scores_are_those_of_all_points(several):
     assert not notes
 
 
-def test_no_combined_scores_if_runs_are_missing(study):
+def test_combined_scores_are_those_of_methods_that_ran_everywhere(study):
     made = tables(study(result("octomap", "a"), result("erasor", "a"), result("octomap", "b")))
-    assert not made.combined
-    assert "missing erasor on b" in " ".join(made.accuracy.notes)
+    assert [row.label for board in made.combined for row in board.rows] == ["octomap"]
+    assert "Missing: erasor on b" in " ".join(made.accuracy.notes)
+
+
+def test_no_scores_are_combined_if_no_method_ran_everywhere(study):
+    assert not tables(study(result("octomap", "a"), result("erasor", "b"))).combined
 
 
 def test_different_parameters_are_reported(study):

@@ -176,11 +176,12 @@ def _shortest_form(study: Study, groups: Sequence[Sequence[StudyRun]]) -> _Label
 def combined_boards(
     study: Study, single: Sequence[ScoreBoard]
 ) -> tuple[list[ScoreBoard], list[str]]:
-    """A board of all sequences for each scoring, with counts added up, if every method ran on every
-    sequence.
+    """A board of all sequences for each scoring, with counts added up.
+
+    It has the methods that ran on every sequence.
 
     Returns:
-        The boards, and notes: which runs are missing, and whose parameters differ.
+        The boards, and notes: which methods are left out, and whose parameters differ.
     """
     boards_of_all = []
     notes = []
@@ -199,13 +200,16 @@ def combined_boards(
         if absent:
             rest = f" and {len(absent) - 3} more" if len(absent) > 3 else ""
             notes.append(
-                f"No scores for all sequences combined{of}: missing {', '.join(absent[:3])}{rest}."
+                f"All sequences combined{of}: only methods that ran on each. Missing: "
+                f"{', '.join(absent[:3])}{rest}."
             )
-            continue
         rows = [
-            ScoreRow(label, combined([row.result for board in alike if (row := board.row(label))]))
+            ScoreRow(label, combined([row.result for row in found if row]))
             for label in labels
+            if all(found := [board.row(label) for board in alike])
         ]
+        if not rows:
+            continue
         boards_of_all.append(
             ScoreBoard(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike))
         )

@@ -14,7 +14,8 @@ _SPECIAL = re.compile(r"([\\`*_\[\]<>|])")
 def markdown_report(study: Study) -> str:
     """The tables in Markdown."""
     content = tables(study)
-    parts = ["# Report", *(_escaped(line) for line in content.headline), *map(table, content.every)]
+    every = (table(each.narrowed(study.columns)) for each in content.every)
+    parts = ["# Report", *(_escaped(line) for line in content.headline), *every]
     return "\n\n".join(parts) + "\n"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 NONE = "n/a"
 ABSENT = "–"  # a field that does not apply
@@ -58,6 +58,24 @@ class Table:
     rows: Sequence[Sequence[Value]]
     notes: Sequence[str] = field(default_factory=tuple)
     details: str = ""
+
+    def narrowed(self, names: Sequence[str]) -> Table:
+        """The table with the first column and those with some names only.
+
+        All columns without names, and for a table that has none of them.
+        """
+        kept = [
+            k
+            for k, column in enumerate(self.columns)
+            if k == 0 or column.name.rstrip(" ↑↓") in names
+        ]
+        if not names or len(kept) < 2:
+            return self
+        return replace(
+            self,
+            columns=[self.columns[k] for k in kept],
+            rows=[[row[k] for k in kept] for row in self.rows],
+        )
 
     @property
     def heated(self) -> bool:
