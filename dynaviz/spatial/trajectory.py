@@ -236,7 +236,8 @@ def impossible(values: NDArray[Any]) -> Bool:
     Args:
         values: (N,) of any numeric type, as written by the driver.
     """
-    exact = values.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # of values that are not numbers
+        exact = values.astype(np.float64)
     known = np.isfinite(exact)
     if known.sum() <= 20:
         return ~known

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections import defaultdict
 from pathlib import Path
 
@@ -104,11 +105,11 @@ def test_its_kernels_are_compiled_once_and_count_as_its_code(
     kernel = Path(file) / "counts.py"
     source = kernel.read_text()
     try:
-        compiled, digest = counted(python)
+        _, digest = counted(python)  # an earlier run of the tests may have compiled them
         assert counted(python) == ["0", digest]  # from disk
-        kernel.write_text(source + "\n")
+        kernel.write_text(f"{source}# {time.time_ns()}\n")  # sources that nobody compiled yet
         again, other = counted(python)
-        assert min(int(compiled), int(again)) > 0
+        assert int(again) > 0
         assert other != digest
     finally:
         kernel.write_text(source)
