@@ -15,8 +15,9 @@ from dynaviz.cleaning.changes import Pair, find_changes
 from dynaviz.cleaning.cleaned import Cleaned
 from dynaviz.cleaning.doubt import doubt_of
 from dynaviz.cleaning.trajectory import UsedPoses
+from dynaviz.contracts.attributes import facts_of
 from dynaviz.contracts.registry import BEST
-from dynaviz.contracts.scan import Sequence, base_of
+from dynaviz.contracts.scan import Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.cleaned_map import (
     Judgement,
@@ -130,7 +131,7 @@ def clean(
             pair, agreement, result, running, files[0], beside, command, progress
         )
     sensor = sentence(estimate_sensor(opened)) if opened.sensor.name == Sensor().name else ""
-    facts = getattr(base_of(opened), "facts", {})
+    facts = facts_of(opened)
     source = " ".join(opened.provenance.sources) or "SEQ"
     in_world = facts.get("points in", "").startswith("world")
     words = shlex.split(command) or ["dynaviz", "clean", source, "-o", os.fspath(out)]

@@ -18,9 +18,9 @@ import msgspec
 import numpy as np
 
 from dynaviz.arrays import I64, Bool
-from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.attributes import knowing, origin_of
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, WithoutTruth, base_of, stream
+from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, WithoutTruth, stream
 from dynaviz.diagnosis.drives import DriveAgreement, compare_drives
 from dynaviz.engine.cleaned_map import Judgement, MapFile, WrittenMap, write_maps
 from dynaviz.engine.label_folder import NoParams
@@ -140,9 +140,9 @@ class Pair:
         Raises:
             UsageError: if the sequence does not have frames of exactly two drives.
         """
-        whole = base_of(sequence)
-        if not isinstance(whole, Drives) or len(whole.parts) != 2:
-            number = len(whole.parts) if isinstance(whole, Drives) else 1
+        whole = knowing(sequence, Drives)
+        if whole is None or len(whole.parts) != 2:
+            number = 1 if whole is None else len(whole.parts)
             raise UsageError(
                 f"--changed compares two drives, not {number}. Give two paths: monday/ tuesday/"
             )

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.arrays import F64, I64
-from dynaviz.contracts.attributes import origin_of
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, base_of
+from dynaviz.contracts.attributes import knowing, origin_of, trajectories_of
+from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.sources.datasets.lidars import Lidars
 from dynaviz.sources.datasets.pose_matching import moved
 from dynaviz.sources.odometry.pose_table import write_pose_rows
-from dynaviz.spatial.trajectory import HasTrajectories, Moved, PosesOverTime, Trajectory
+from dynaviz.spatial.trajectory import Moved, PosesOverTime, Trajectory
 
 PER_SWEEP = 5
 """Poses of a sweep whose points have times: the first and last, and between them, so that straight
@@ -33,8 +33,8 @@ class UsedPoses:
 
     def __init__(self, sequence: Sequence) -> None:
         self._sequence = sequence
-        base = base_of(sequence)
-        self._lidar = base.order[:, 0] if isinstance(base, Lidars) else None
+        lidars = knowing(sequence, Lidars)
+        self._lidar = None if lidars is None else lidars.order[:, 0]
         self._scans = defaultdict[int, list[tuple[int, int | None, F64]]](list)
         self._times = defaultdict[int, list[I64]](list)
 
@@ -80,9 +80,6 @@ class UsedPoses:
         }
         if any(len(at[k]) < len(scans) for k, scans in self._scans.items()):
             return {}
-        whole: Sequence = self._sequence
-        while isinstance(whole, SequenceSlice):
-            whole = whole.whole
-        if isinstance(whole, HasTrajectories) and (found := whole.trajectories):
-            return found
-        return {k: Trajectory.of(list(poses), list(poses.values())) for k, poses in at.items()}
+        return trajectories_of(self._sequence) or {
+            k: Trajectory.of(list(poses), list(poses.values())) for k, poses in at.items()
+        }

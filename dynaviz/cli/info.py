@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -28,16 +27,6 @@ if TYPE_CHECKING:
     from dynaviz.arrays import F64
     from dynaviz.contracts.scan import Scan, Sequence
     from dynaviz.scores.result import Result
-
-
-@runtime_checkable
-class HasFacts(Protocol):
-    """A sequence with further facts, such as the topic of a bag or the number of tracks."""
-
-    @property
-    def facts(self) -> Mapping[str, str]:
-        """Name and value, as ``dynaviz info`` shows them."""
-        ...
 
 
 @takes(SEQUENCE)
@@ -148,6 +137,7 @@ def _show_result(result: Result) -> None:
 
 
 def _sequence_facts(sequence: Sequence) -> dict[str, str]:
+    from dynaviz.contracts.attributes import facts_of
     from dynaviz.contracts.scan import base_of
     from dynaviz.sources.summary import summarize
 
@@ -169,7 +159,7 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
         "extent": " x ".join(f"{size:.1f}" for size in high - low) + " m",
         "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
         "digest": summary.digest,
-        **(source.facts if isinstance(source, HasFacts) else {}),
+        **facts_of(sequence),
     }
 
 

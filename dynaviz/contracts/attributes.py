@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, SequenceView
+from dynaviz.contracts.scan import HasScanFiles, Scan, Sequence, SequenceSlice, SequenceView
+from dynaviz.spatial.trajectory import HasTrajectories, PosesOverTime
 
 Attributes = Mapping[str, NDArray[Any]]
 """(N,) integers or floats by name, such as ``intensity`` or ``ring``, in the types of the source.
@@ -69,6 +70,26 @@ class HasCoordinates(Protocol):
         ...
 
 
+@runtime_checkable
+class HasFacts(Protocol):
+    """A sequence with further facts."""
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """The facts by name."""
+        ...
+
+
+@runtime_checkable
+class HasExactPoses(Protocol):
+    """A sequence that states whether its poses and its sensor are exact."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether they are, as in a simulated scene; they are neither estimated nor checked."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Unposed:
     """Points of a source that no pose covers: no frame contains them, and no method judges them.
@@ -106,13 +127,59 @@ class HasLasFile(Protocol):
         ...
 
 
+P = TypeVar("P")
+
+
+def knowing(sequence: Sequence, what: type[P]) -> P | None:
+    """What knows a property of a sequence: the sequence, or the one that it was made of.
+
+    None if neither does. A sequence that changes a property states its own.
+
+    Args:
+        sequence: any sequence.
+        what: the protocol of the property, which does not depend on the position of a frame.
+    """
+    layer = sequence
+    while not isinstance(layer, what):
+        if not isinstance(layer, SequenceSlice | SequenceView):
+            return None
+        layer = layer.whole
+    return layer
+
+
+def facts_of(sequence: Sequence) -> Mapping[str, str]:
+    """Further facts of a sequence, by name; empty for sequences that have none."""
+    known = knowing(sequence, HasFacts)  # type: ignore[type-abstract]  # a protocol
+    return {} if known is None else known.facts
+
+
+def scan_file_of(sequence: Sequence, index: int) -> Path | None:
+    """The file of a frame, by its number; None if the format does not keep one file per frame."""
+    known = knowing(sequence, HasScanFiles)  # type: ignore[type-abstract]  # a protocol
+    return None if known is None else known.scan_file(index)
+
+
+def trajectories_of(sequence: Sequence) -> Mapping[int, PosesOverTime]:
+    """T_world_sensor over time of each lidar; empty for sequences that know poses of scans only."""
+    known = knowing(sequence, HasTrajectories)  # type: ignore[type-abstract]  # a protocol
+    return {} if known is None else known.trajectories
+
+
+def is_exact(sequence: Sequence) -> bool:
+    """Whether the poses and the sensor of a sequence are exact, so that nobody estimates or checks
+    them.
+    """
+    known = knowing(sequence, HasExactPoses)  # type: ignore[type-abstract]  # a protocol
+    return known is not None and known.exact
+
+
 def unposed_of(sequence: Sequence) -> Iterator[Unposed]:
     """Points that no pose covers; none for selected frames."""
-    if isinstance(sequence, SequenceSlice):
+    if isinstance(sequence, HasUnposed):
+        yield from sequence.unposed()
+    elif isinstance(sequence, SequenceSlice):
         if len(sequence.positions) == len(sequence.whole):
             yield from unposed_of(sequence.whole)
-    elif isinstance(sequence, HasUnposed):
-        yield from sequence.unposed()
     elif isinstance(sequence, SequenceView):
         yield from unposed_of(sequence.whole)
 
@@ -122,9 +189,11 @@ def coordinates_of(sequence: Sequence, position: int) -> F32 | F64 | None:
 
     None if they follow from its points.
     """
+    if isinstance(sequence, HasCoordinates):
+        return sequence.coordinates(position)
     if isinstance(sequence, SequenceSlice):
         return coordinates_of(sequence.whole, sequence.positions[position])
-    return sequence.coordinates(position) if isinstance(sequence, HasCoordinates) else None
+    return coordinates_of(sequence.whole, position) if isinstance(sequence, SequenceView) else None
 
 
 def exact_points(sequence: Sequence, position: int, scan: Scan) -> F64:
@@ -142,23 +211,23 @@ def exact_points(sequence: Sequence, position: int, scan: Scan) -> F64:
 
 def las_file_of(sequence: Sequence) -> Path | None:
     """A LAS file in the world frame of a sequence; None without one."""
-    if isinstance(sequence, SequenceSlice | SequenceView):
-        return las_file_of(sequence.whole)
-    return sequence.las_file if isinstance(sequence, HasLasFile) else None
+    known = knowing(sequence, HasLasFile)  # type: ignore[type-abstract]  # a protocol
+    return None if known is None else known.las_file
 
 
 def attributes_of(sequence: Sequence, position: int) -> Attributes:
     """Attributes of the points of a frame; empty for sequences that have none."""
+    if isinstance(sequence, HasAttributes):
+        return sequence.attributes(position)
     if isinstance(sequence, SequenceSlice):
         return attributes_of(sequence.whole, sequence.positions[position])
-    return sequence.attributes(position) if isinstance(sequence, HasAttributes) else {}
+    return attributes_of(sequence.whole, position) if isinstance(sequence, SequenceView) else {}
 
 
 def origin_of(sequence: Sequence) -> F64:
     """(3,) float64, metres: what to add to coordinates of a sequence to get those of its source."""
-    if isinstance(sequence, SequenceSlice):
-        return origin_of(sequence.whole)
-    return sequence.origin if isinstance(sequence, HasOrigin) else np.zeros(3)
+    known = knowing(sequence, HasOrigin)  # type: ignore[type-abstract]  # a protocol
+    return np.zeros(3) if known is None else known.origin
 
 
 def far_origin(position: F64) -> F64:

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.contracts.scan import Scan, Sequence, base_of
+from dynaviz.contracts.attributes import is_exact
+from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.diagnosis import placement, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
@@ -127,7 +128,7 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     Simulated sequences, and copies with implants, are not checked: reading them is slow. Errors of
     reading are not reported: reading the whole sequence reports them.
     """
-    if getattr(type(base_of(sequence)), "nested", False) or len(sequence) < 2:
+    if is_exact(sequence) or len(sequence) < 2:
         return ()
     groups = FrameGroups(sequence)
     if not groups.checker.positions:

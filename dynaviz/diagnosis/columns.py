@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynaviz.contracts.attributes import attributes_of
-from dynaviz.contracts.scan import HasScanFiles, Sequence, base_of
+from dynaviz.contracts.attributes import attributes_of, scan_file_of
+from dynaviz.contracts.scan import Sequence
 from dynaviz.diagnosis.finding import Confidence, Finding
 from dynaviz.errors import DataError
 from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne
@@ -26,8 +26,7 @@ def check_columns(sequence: Sequence, index: int, position: int) -> Iterator[Fin
         index: number of the frame whose file is examined.
         position: its position in the sequence.
     """
-    whole = base_of(sequence)
-    file = whole.scan_file(index) if isinstance(whole, HasScanFiles) else None
+    file = scan_file_of(sequence, index)
     if file is None or file.suffix.lower() != ".bin":
         return
     try:

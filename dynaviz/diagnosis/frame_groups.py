@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dynaviz.arrays import F32, F64
+from dynaviz.contracts.attributes import Attributes, attributes_of, coordinates_of
 from dynaviz.contracts.scan import Scan, Sequence, SequenceView
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import LONG_STEPS
@@ -31,16 +33,33 @@ class FewPoints(SequenceView):
     whole: Sequence
     kept: dict[int, Scan]
 
+    has_labels = False
+
+    def attributes(self, position: int) -> Attributes:
+        """Those of the points."""
+        found = attributes_of(self.whole, position)
+        return {name: array[:: _step(len(array))] for name, array in found.items()}
+
+    def coordinates(self, position: int) -> F32 | F64 | None:
+        """Those of the points."""
+        found = coordinates_of(self.whole, position)
+        return None if found is None else found[:: _step(len(found))]
+
     def __getitem__(self, position: int) -> Scan:
         if position not in self.kept:
             scan = self.whole[position].without_truth()
-            step = -(-len(scan) // POINTS) or 1
+            step = _step(len(scan))
             origins = scan.origins if len(scan.origins) == 1 else scan.origins[::step]
             times = None if scan.times is None else scan.times[::step]
             self.kept[position] = replace(
                 scan, points=scan.points[::step], origins=origins, times=times
             )
         return self.kept[position]
+
+
+def _step(points: int) -> int:
+    """Every how many points of a scan one is kept."""
+    return -(-points // POINTS) or 1
 
 
 class FrameGroups:

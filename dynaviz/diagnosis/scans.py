@@ -12,8 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, Bool
+from dynaviz.contracts.attributes import knowing, scan_file_of
 from dynaviz.contracts.extent import FAR
-from dynaviz.contracts.scan import HasScanFiles, HasUnmatchedPoints, Label, Scan, Sequence, base_of
+from dynaviz.contracts.scan import HasUnmatchedPoints, Label, Scan, Sequence
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
 from dynaviz.spatial import geometry
 
@@ -425,12 +426,11 @@ class ScanChecker:
 
 def file_of(sequence: Sequence, index: int) -> str | None:
     """The file of a frame, by its number; None if the format does not keep one file per frame."""
-    whole = base_of(sequence)
-    file = whole.scan_file(index) if isinstance(whole, HasScanFiles) else None
+    file = scan_file_of(sequence, index)
     return None if file is None else str(file)
 
 
 def _unmatched_points(sequence: Sequence) -> Mapping[int, int]:
     """The number of points without ground truth, by frame number, of the frames read so far."""
-    whole = base_of(sequence)
-    return whole.unmatched if isinstance(whole, HasUnmatchedPoints) else {}
+    known = knowing(sequence, HasUnmatchedPoints)  # type: ignore[type-abstract]  # a protocol
+    return {} if known is None else known.unmatched

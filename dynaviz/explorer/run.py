@@ -97,7 +97,7 @@ class ExploredRun:
 
         Its reason then names its answer.
         """
-        return self.result.method == "changed"
+        return self.recording.compares
 
     @property
     def passes(self) -> tuple[str, ...]:

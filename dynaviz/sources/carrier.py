@@ -8,7 +8,8 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64, Bool, Intp
 from dynaviz.contracts.at_sensor import CUBE, HOUSING, in_sensor_frame
-from dynaviz.contracts.scan import Scan, Sequence, base_of, select_frames
+from dynaviz.contracts.attributes import is_exact
+from dynaviz.contracts.scan import Scan, Sequence, select_frames
 from dynaviz.sources.sensing import ScanRays, height_of
 from dynaviz.spatial import geometry
 
@@ -43,7 +44,7 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     Raises:
         DataError: for data that cannot be read.
     """
-    if getattr(type(base_of(sequence)), "nested", False) or len(sequence) < FEWEST:
+    if is_exact(sequence) or len(sequence) < FEWEST:
         return ()
     last: Scan | None = None
     seen = list[F64]()  # of each scan: the middle of the points in each cube

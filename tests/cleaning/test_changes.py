@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,16 @@ from helpers.static_hall import SENSOR, hall
 
 import dynaviz as dv
 from dynaviz.arrays import F64, Bool
-from dynaviz.cleaning.changes import APPEARED, DISAPPEARED, MOVED, NAMES, NOT_SEEN, SEEN_AGAIN, Pair
+from dynaviz.cleaning.changes import (
+    APPEARED,
+    DISAPPEARED,
+    LISTED,
+    MOVED,
+    NAMES,
+    NOT_SEEN,
+    SEEN_AGAIN,
+    Pair,
+)
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explorer.cards import cards
@@ -184,3 +195,34 @@ def test_the_explorer_shows_the_changes(cleaned: Any) -> None:
             assert point["sentence"].startswith(
                 f"{point['answer'].capitalize()} (no ground truth): "
             )
+
+
+@dataclass(frozen=True)
+class Shifted(InMemory):
+    """A drive whose coordinates in the source are far from zero."""
+
+    origin: F64 = field(default_factory=lambda: np.array([500_000.0, 5_400_000.0, 0.0]))
+
+
+def test_changes_far_from_the_origin_are_listed_in_the_coordinates_of_the_source(
+    cleaned: Any, both: Drives, tmp_path: Path
+) -> None:
+    far = Drives.of([Shifted(each.scans, each.name, each.sensor) for each in both.parts])  # type: ignore[attr-defined]
+    found = dv.clean(far, tmp_path / "clean.pcd", changed=True)
+    assert found.changes.clusters == cleaned.changes.clusters  # in the frame of the recording
+    here, there = (listed(each.folder / "summary.md") for each in (cleaned, found))
+    assert len(there) == min(len(found.changes.clusters), LISTED) > 0
+    np.testing.assert_allclose(there, here + far.origin, atol=0.11)  # written with one decimal
+    kept = found.changes.result.static_map()
+    np.testing.assert_allclose(
+        kept, cleaned.changes.result.static_map() + far.origin, rtol=0, atol=1e-3
+    )
+    assert ExploredRun(found.changes.result).compares
+    assert not ExploredRun(found.result).compares
+
+
+def listed(summary: Path) -> F64:
+    """(K, 3): the places of the changes in a summary, metres."""
+    page = summary.read_text().partition("## What changed")[2]
+    places = re.findall(r"frames, \(.*?\) m, at \((.*?)\) m", page)
+    return np.array([[float(x) for x in place.split(", ")] for place in places])

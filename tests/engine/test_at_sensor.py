@@ -16,6 +16,7 @@ from dynaviz.arrays import F64
 from dynaviz.contracts.at_sensor import AtSensor
 from dynaviz.contracts.method import AT_SENSOR
 from dynaviz.contracts.scan import Label, Scan
+from dynaviz.diagnosis import quick_check
 from dynaviz.sources.carrier import estimate_carrier
 from dynaviz.spatial import geometry
 from dynaviz.testing import InMemory
@@ -97,3 +98,33 @@ def test_a_car_that_sees_itself(real_data: Path) -> None:
     result = dv.run("dufomap", drive, record="none")
     assert result.metrics["DA"] > 40
     assert result.sequence.at_sensor > 100_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Nested(InMemory):
+    """A plug-in whose path names another sequence; it says nothing about its poses."""
+
+    nested = True
+
+
+@dataclasses.dataclass(frozen=True)
+class Exact(InMemory):
+    """A plug-in that states that its poses and its sensor are exact."""
+
+    exact = True
+
+
+def test_only_a_sequence_that_states_exact_poses_is_not_examined() -> None:
+    driven = [with_points(scan, ROOF) for scan in SCANS]
+    carrier = estimate_carrier(InMemory(driven))
+    assert carrier
+    assert estimate_carrier(Nested(driven)) == carrier
+    assert estimate_carrier(Exact(driven)) == ()
+    twice = [
+        dataclasses.replace(scan, points=geometry.transform(scan.T_world_sensor, scan.points))
+        for scan in crossing()
+    ]
+    found = quick_check(InMemory(twice))
+    assert found
+    assert quick_check(Nested(twice)) == found
+    assert quick_check(Exact(twice)) == ()

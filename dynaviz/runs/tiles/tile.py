@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dynaviz.arrays import F64, I64, U8, Intp
+from dynaviz.arrays import F32, F64, I64, U8, Intp
 from dynaviz.contracts import registry
+from dynaviz.contracts.attributes import (
+    Attributes,
+    Unposed,
+    attributes_of,
+    coordinates_of,
+    origin_of,
+    trajectories_of,
+)
 from dynaviz.contracts.extent import CELL, GrowingExtent
 from dynaviz.contracts.method import Halo
 from dynaviz.contracts.metric import Figure, Labelled, Metric
@@ -30,6 +38,7 @@ from dynaviz.runs.tiles.index import SequenceIndex
 from dynaviz.scores.result import RecordMode, Result
 from dynaviz.scores.sections import Runtime
 from dynaviz.sources.summary import ScanDigest, SequenceSummary
+from dynaviz.spatial.trajectory import Moved, PosesOverTime
 
 NEAR = 2500.0  # metres: with a reach of 300 m around the tile, within 32768 voxels of 0.1 m
 # Frames: gaps shrink by multiples of this, so that methods that use every second or fourth frame
@@ -48,7 +57,7 @@ class TileFrames(SequenceView):
         rows: positions in the sequence, in order; -1 - position for an empty scan.
         numbers, places: of these frames: ``Scan.index`` and position of the sensor, (K, 3) float64,
             metres.
-        origin: (3,) float64, metres: subtracted from all coordinates.
+        offset: (3,) float64, metres: subtracted from all coordinates of the sequence.
         truth: whether scans have their ground truth, which only a recording needs.
     """
 
@@ -56,12 +65,12 @@ class TileFrames(SequenceView):
     rows: I64
     numbers: I64
     places: F64
-    origin: F64
+    offset: F64
     truth: bool = False
 
     @classmethod
     def of(
-        cls, sequence: Sequence, index: SequenceIndex, frames: I64, origin: F64, truth: bool = False
+        cls, sequence: Sequence, index: SequenceIndex, frames: I64, offset: F64, truth: bool = False
     ) -> TileFrames:
         """The frames at these positions, and short gaps of empty scans between them."""
         rows: list[int] = []
@@ -74,7 +83,7 @@ class TileFrames(SequenceView):
             expected = frame + 1
         chosen = np.array(rows, np.int64)
         at = np.where(chosen < 0, -1 - chosen, chosen)
-        return cls(sequence, chosen, index.numbers[at], index.positions[at], origin, truth)
+        return cls(sequence, chosen, index.numbers[at], index.positions[at], offset, truth)
 
     @property
     def has_labels(self) -> bool:
@@ -84,6 +93,31 @@ class TileFrames(SequenceView):
     def __len__(self) -> int:
         return len(self.rows)
 
+    @property
+    def origin(self) -> F64:
+        """(3,) float64, metres: what to add to coordinates to get those of the source."""
+        return origin_of(self.whole) + self.offset
+
+    def attributes(self, position: int) -> Attributes:
+        """Those of the sequence's frame."""
+        row = int(self.rows[position])
+        return {} if row < 0 else attributes_of(self.whole, row)
+
+    def coordinates(self, position: int) -> F32 | F64 | None:
+        """Those of the sequence's frame."""
+        row = int(self.rows[position])
+        return None if row < 0 else coordinates_of(self.whole, row)
+
+    def unposed(self) -> Iterator[Unposed]:
+        """None: those of the sequence belong to no tile."""
+        yield from ()
+
+    @property
+    def trajectories(self) -> Mapping[int, PosesOverTime]:
+        """Those of the sequence."""
+        found = trajectories_of(self.whole)
+        return {lidar: Moved(poses, -self.offset) for lidar, poses in found.items()}
+
     def __getitem__(self, position: int) -> Scan:
         row = int(self.rows[position])
         if row < 0:
@@ -92,7 +126,7 @@ class TileFrames(SequenceView):
             scan = Scan(int(self.numbers[position]), np.empty((0, 3), np.float32), pose)
         else:
             scan = self.whole[row] if self.truth else self.whole[row].without_truth()
-        return scan.moved(-self.origin) if self.origin.any() else scan
+        return scan.moved(-self.offset) if self.offset.any() else scan
 
 
 @dataclass(frozen=True)
@@ -183,7 +217,7 @@ class TileTask:
         margin = self.halo.metres + 2 * CELL
         low, high = (
             TileGrid(self.size).bounds(self.tile)
-            - self.frames.origin[:2]
+            - self.frames.offset[:2]
             + np.array([[-margin], [margin]])
         )
         around = None if self.halo.along_rays else np.array([low - CELL, high + CELL])
@@ -227,7 +261,7 @@ class OwnPoints:
 
     def rows(self, scan: Scan) -> Intp:
         """(K,) the points of a scan of the run that belong to the tile."""
-        return self._grid.rows(scan, self._tile, self.frames.origin)
+        return self._grid.rows(scan, self._tile, self.frames.offset)
 
     def of(self, labelled: Labelled) -> Labelled:
         """A scan with its labels, reduced; computed once for the last scan."""

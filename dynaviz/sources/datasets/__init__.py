@@ -30,6 +30,7 @@ class Dataset(Sequence, Protocol):
         fallback: optional; True for a general format that is tried only if no other format matches.
         nested: optional; True for a format whose path names another sequence, with options; it is
             passed on as it is.
+        exact: optional; True if poses and sensor are exact: they are neither estimated nor checked.
     """
 
     layout: ClassVar[str]

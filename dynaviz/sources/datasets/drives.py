@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from collections.abc import Sequence as Several
 from dataclasses import dataclass
 from itertools import accumulate
+from pathlib import Path
 
 import numpy as np
 
@@ -17,12 +18,15 @@ from dynaviz.contracts.attributes import (
     Unposed,
     attributes_of,
     coordinates_of,
+    is_exact,
+    las_file_of,
     origin_of,
+    scan_file_of,
     unposed_of,
 )
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.errors import UsageError
+from dynaviz.errors import DataError, UsageError
 
 OBJECTS = 1_000_000  # instance numbers of a drive follow those of the one before
 
@@ -51,6 +55,25 @@ class Joined:
     def origin(self) -> F64:
         """(3,) float64, metres: that of the first part."""
         return origin_of(self.parts[0])
+
+    @property
+    def exact(self) -> bool:
+        """Whether all parts have exact poses and sensors."""
+        return all(map(is_exact, self.parts))
+
+    @property
+    def las_file(self) -> Path | None:
+        """That of the first part, in whose world frame all parts are."""
+        return las_file_of(self.parts[0])
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the part's frame."""
+        part, row = self.place(index)
+        try:
+            scan: Scan = self.parts[part][row]
+        except DataError as error:  # the frame has a number of its own
+            return error.path if isinstance(error.path, Path) else None
+        return scan_file_of(self.parts[part], scan.index)
 
     def __len__(self) -> int:
         return sum(map(len, self.parts))

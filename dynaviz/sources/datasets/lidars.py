@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import I64
-from dynaviz.contracts.attributes import Attributes, origin_of
+from dynaviz.contracts.attributes import Attributes, facts_of, origin_of, trajectories_of
 from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import UsageError
 from dynaviz.sources.datasets.drives import Joined
 from dynaviz.sources.datasets.pose_matching import NO_POSES
-from dynaviz.spatial.trajectory import HasTrajectories, Moved, PosesOverTime
+from dynaviz.spatial.trajectory import Moved, PosesOverTime
 
 LIDAR = "lidar"
 """Attribute of points, and column of poses: number of the lidar, in the order of the names in the
@@ -89,7 +89,7 @@ class Lidars(Joined):
         counts = ", ".join(
             f"{name} ({len(lidar):,})" for name, lidar in zip(self.names, self.parts, strict=True)
         )
-        return {"lidars": counts, **getattr(self.parts[0], "facts", {})}
+        return {"lidars": counts, **facts_of(self.parts[0])}
 
     def attributes(self, position: int) -> Attributes:
         """Those of the lidar's frame, and the number of the lidar."""
@@ -104,8 +104,7 @@ class Lidars(Joined):
         return {
             number: Moved(own, origin_of(lidar) - self.origin)
             for number, lidar in enumerate(self.parts)
-            if isinstance(lidar, HasTrajectories)
-            for own in lidar.trajectories.values()
+            for own in trajectories_of(lidar).values()
         }
 
     def place(self, position: int) -> tuple[int, int]:

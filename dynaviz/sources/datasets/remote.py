@@ -11,8 +11,8 @@ import hashlib
 import os
 from pathlib import Path
 
-from dynaviz.arrays import F64
-from dynaviz.contracts.attributes import Attributes
+from dynaviz.arrays import F32, F64
+from dynaviz.contracts.attributes import Attributes, coordinates_of
 from dynaviz.contracts.scan import Scan, Sequence, SequenceView
 from dynaviz.errors import DataError, MissingDependency
 from dynaviz.io.atomic import atomic_file
@@ -93,6 +93,17 @@ class RemoteSequence(SequenceView):
         """All fields of the file besides the coordinates."""
         self._fetch(list(self._scans.values())[position])
         return self.whole.attributes(position)  # type: ignore[attr-defined, no-any-return]
+
+    def coordinates(self, position: int) -> F32 | F64 | None:
+        """Those of the file."""
+        self._fetch(list(self._scans.values())[position])
+        return coordinates_of(self.whole, position)
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number, on this machine."""
+        if (path := self._scans.get(index)) is not None:
+            self._fetch(path)
+        return path
 
     def _listed(self, folder: str) -> list[str]:
         """Names of the files in a folder; empty if it does not exist."""

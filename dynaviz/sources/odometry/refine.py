@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.attributes import Unposed, facts_of, las_file_of, origin_of, unposed_of
 from dynaviz.contracts.scan import Scan, Sequence, stream
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
@@ -65,13 +65,22 @@ class RefinedSequence(ReposedSequence):
     @property
     def facts(self) -> Mapping[str, str]:
         """Further facts of the sequence."""
-        facts = getattr(self.whole, "facts", {})
+        facts = facts_of(self.whole)
         return {**facts, "poses": f"{facts.get('poses', 'of the sequence')}, refined"}
 
     @property
     def origin(self) -> F64:
         """(3,) float64, metres: what was subtracted from the positions of the sequence."""
         return origin_of(self.whole)
+
+    @property
+    def las_file(self) -> Path | None:
+        """That of the sequence, whose world frame the scans keep."""
+        return las_file_of(self.whole)
+
+    def unposed(self) -> Iterator[Unposed]:
+        """Those of the sequence."""
+        return unposed_of(self.whole)
 
 
 def refine(

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.contracts.attributes import Attributes, attributes_of
+from dynaviz.contracts.attributes import Unposed, facts_of, unposed_of
 from dynaviz.contracts.scan import Scan, Sequence, SequenceView
 from dynaviz.errors import DataError
 from dynaviz.io.poses import read_poses
 from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import PosesOverTime
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class ReposedSequence(SequenceView):
 
     whole: Sequence
     poses: F64
+    exact = False
 
     @classmethod
     def read(cls, sequence: Sequence, file: Path) -> ReposedSequence:
@@ -55,11 +57,30 @@ class ReposedSequence(SequenceView):
     @property
     def facts(self) -> Mapping[str, str]:
         """Further facts of the sequence."""
-        return {**getattr(self.whole, "facts", {}), "poses": "estimated"}
+        return {**facts_of(self.whole), "poses": "estimated"}
 
-    def attributes(self, position: int) -> Attributes:
-        """Those of the sequence."""
-        return attributes_of(self.whole, position)
+    @property
+    def origin(self) -> F64:
+        """(3,) float64, metres: zero, because the poses have a world frame of their own."""
+        return np.zeros(3)
+
+    @property
+    def las_file(self) -> Path | None:
+        """None: the scans are not in the world frame of a LAS file."""
+        return None
+
+    def unposed(self) -> Iterator[Unposed]:
+        """Those of the sequence, without their place: it is in another world frame."""
+        for each in unposed_of(self.whole):
+            yield dataclasses.replace(each, xyz=None)
+
+    def coordinates(self, position: int) -> None:
+        """None: the points of the scan tell as much."""
+
+    @property
+    def trajectories(self) -> Mapping[int, PosesOverTime]:
+        """None: those of the sequence are not the poses of these scans."""
+        return {}
 
     def __getitem__(self, position: int) -> Scan:
         scan = self.whole[position]

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from dynaviz.arrays import Bool
-from dynaviz.contracts.scan import Scan, Sequence, select_frames
-from dynaviz.contracts.sensors import Sensor
+from dynaviz.contracts.attributes import Attributes, facts_of
+from dynaviz.contracts.scan import Scan, Sequence, SequenceView, select_frames
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
@@ -26,7 +26,7 @@ from dynaviz.synthetic.implants.space import SpaceAboveGround
 from dynaviz.synthetic.implants.survey import Survey
 
 
-class ImplantedSequence:
+class ImplantedSequence(SequenceView):
     """A sequence whose scans show movers that were not there.
 
     The static world, the noise, the poses and their errors stay those of the sequence. Scans are
@@ -45,6 +45,7 @@ class ImplantedSequence:
 
     layout: ClassVar[str] = "another sequence with implanted movers: implant:SEQUENCE?cars=6&seed=3"
     nested: ClassVar[bool] = True
+    exact: ClassVar[bool] = True  # they are those of the sequence, which is checked itself
 
     def __init__(
         self,
@@ -55,10 +56,10 @@ class ImplantedSequence:
         panel: tuple[str, ...] = (),
         static: Callable[[int], Bool] | None = None,
     ) -> None:
-        self.base = base
+        self.whole = base
         self.scene = scene
         self.lidar = lidar
-        self.name = name
+        self._name = name
         self.panel = panel
         self._static = static
 
@@ -111,9 +112,9 @@ class ImplantedSequence:
         return cls(base, scene, lidar, name, options.panel, agreed.static if agreed else None)
 
     @property
-    def sensor(self) -> Sensor:
-        """The sensor of the base sequence."""
-        return self.base.sensor
+    def name(self) -> str:
+        """The name of the result."""
+        return self._name
 
     @property
     def has_labels(self) -> bool:
@@ -122,10 +123,11 @@ class ImplantedSequence:
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """What was implanted and measured, for ``dynaviz info``."""
+        """Those of the sequence, and what was implanted and measured."""
         kinds = [mover.kind for mover in self.scene.movers]
         counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
         return {
+            **facts_of(self.whole),
             "implants": counts or "none",
             "range noise": f"{1000 * self.scene.range_noise:.0f} mm",
             "drop-outs": f"{100 * self.scene.drop_out:.1f} %",
@@ -135,13 +137,13 @@ class ImplantedSequence:
 
     @property
     def _da(self) -> str:
-        return " and the points labelled dynamic" if self.base.has_labels else ""
+        return " and the points labelled dynamic" if self.whole.has_labels else ""
 
     @property
     def _sa(self) -> str:
         own = "the points labelled static"
         agreed = f"the points that most of {', '.join(self.panel)} keep"
-        if self.base.has_labels:
+        if self.whole.has_labels:
             return f"{own}, and {agreed} among those without a label" if self.panel else own
         return agreed if self.panel else "no points; give a panel of methods"
 
@@ -157,11 +159,15 @@ class ImplantedSequence:
         )
         return f"{reason}; movers return only rays that also returned without them"
 
-    def __len__(self) -> int:
-        return len(self.base)
+    def attributes(self, position: int) -> Attributes:
+        """None: no lidar measured those of implanted points."""
+        return {}
+
+    def coordinates(self, position: int) -> None:
+        """None: the points of the scan tell as much."""
 
     def __getitem__(self, position: int) -> Scan:
-        scan = self.base[position]
+        scan = self.whole[position]
         static = self._static(position % len(self)) if self._static else None
         return implant(scan, self.scene, self.lidar, static)
 

@@ -37,6 +37,7 @@ class SimulatedSequence:
         "a simulated scene: simulate:street_hdl64?frames=20&seed=3&jitter_m=0.03"
     )
     nested: ClassVar[bool] = True
+    exact: ClassVar[bool] = True
 
     def __init__(self, chosen: Chosen) -> None:
         self.chosen = chosen

@@ -284,6 +284,15 @@ class RunRecording(AnyRecording):
             )
 
     @property
+    def compares(self) -> bool:
+        """Whether "dynamic" means that a point changed between two drives.
+
+        Earlier recordings tell it by their reasons alone.
+        """
+        told = (reason.meaning.startswith("changed:") for reason in self.reasons)
+        return bool(self.properties.get("compares")) or any(told)
+
+    @property
     def parameters(self) -> dict[str, Any]:
         """The method's parameters."""
         parameters: dict[str, Any] = json.loads(self.properties["params_json"])

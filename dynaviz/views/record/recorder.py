@@ -348,6 +348,7 @@ class Recorder(Listener):
             "mode": self.mode,
             "method": info.name,
             "title": info.title,
+            "compares": info.compares or "",  # left out if it is false
             "reasons_json": json.dumps([dataclasses.asdict(reason) for reason in info.reasons]),
             "sequence": run.sequence.name,
             "digest": summary.digest,
