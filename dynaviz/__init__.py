@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dynaviz.benchmarking.bench import bench
     from dynaviz.benchmarking.tune import tune
     from dynaviz.cleaning import clean
+    from dynaviz.cleaning.reviewing import review
     from dynaviz.diagnosis import doctor
     from dynaviz.explorer import explore
     from dynaviz.online import live
@@ -34,6 +35,7 @@ __all__ = [
     "live",
     "open",
     "report",
+    "review",
     "run",
     "score",
     "tune",
@@ -49,6 +51,7 @@ _HOMES = {
     "live": "dynaviz.online",
     "open": "dynaviz.api",
     "report": "dynaviz.reports.reporting",
+    "review": "dynaviz.cleaning.reviewing",
     "run": "dynaviz.api",
     "score": "dynaviz.api",
     "tune": "dynaviz.benchmarking.tune",

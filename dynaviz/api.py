@@ -15,6 +15,8 @@ from dynaviz.errors import UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.execution import run_method, score_external
 from dynaviz.runs.options import Record, SequenceRunKeywords, split
+from dynaviz.runs.reviewed import truths
+from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.result import Result
 from dynaviz.sources.opening import OpenedSequence, Source, open_source
@@ -96,6 +98,7 @@ def score(
     out: str | os.PathLike[str] | None = None,
     record: Record | str | os.PathLike[str] = "errors",
     threads: int | None = None,
+    review: str | os.PathLike[str] | None = None,
     command: str = "",
     progress: Progress = silent,
     **options: Unpack[SequenceKeywords],
@@ -119,6 +122,8 @@ def score(
         out: folder for the files of the run; None writes none.
         record: as for ``run``.
         threads: for kernels; None for all cores.
+        review: a file with decisions, which the ground truth follows; it is the ground truth of a
+            sequence without any.
         command: what the user typed, for the record.
         progress: called with a phase, the number of frames done and their total.
         options: how to open the sequence, as for ``dynaviz.open``.
@@ -135,11 +140,11 @@ def score(
     """
     folder = None if out is None else Path(out)
     opened = open_source(sequence, SequenceOptions.of(**options), folder=folder, progress=progress)
-    if not opened.has_labels:
+    if not opened.has_labels and review is None:
         raise UsageError(
             f"{opened.name} has no ground truth, so nothing can be scored on it. "
             "Give a sequence with labels: gt_cloud.pcd, labels/*.label or label_02/*.txt (see "
-            "'dynaviz info SEQ')"
+            "'dynaviz info SEQ'), or decisions with --review"
         )
     external = read_external(map, opened, radius=radius, name=name, key=key)
     result = score_external(
@@ -148,6 +153,7 @@ def score(
         out=folder,
         record=record,
         threads=threads,
+        review=review,
         command=command,
         progress=progress,
     )
@@ -159,6 +165,7 @@ def score(
 def compare(
     *recordings: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
+    review: str | os.PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> Comparison:
     """Compare runs on the same points, from their recordings alone.
@@ -166,6 +173,8 @@ def compare(
     Args:
         recordings: two or more ``run.rrd``; each is compared with the first.
         out: where to write a recording that shows them side by side; None writes none.
+        review: a file with decisions, which the ground truth of all runs follows; then the sequence
+            of the first run is read, too.
         progress: called with a phase, the number of recordings done and their total.
 
     Returns:
@@ -177,6 +186,7 @@ def compare(
     """
     from dynaviz.views.compare.compare import Compared
 
-    compared = Compared(recordings, out, progress)
+    truth = None if review is None else truths(open_run(recordings[0]), review, progress)
+    compared = Compared(recordings, out, progress, truth)
     compared.write(progress)
     return compared.comparison

@@ -19,6 +19,7 @@ from dynaviz.benchmarking.runner import BenchCallbacks, CellRunner, Executor
 from dynaviz.benchmarking.source import open_spec
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
+from dynaviz.reviews.decisions import Decisions
 from dynaviz.tasks.local import LocalExecutor
 from dynaviz.tasks.memory import forget_peak
 
@@ -66,6 +67,8 @@ def bench(
         raise UsageError(
             "the cluster sets the number of workers. Leave out workers, or --scheduler"
         )
+    if checked.review:
+        Decisions.existing(checked.review)
     folder = Path(out)
     callbacks = callbacks or BenchCallbacks()
     if checked.search:

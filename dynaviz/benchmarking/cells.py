@@ -21,6 +21,7 @@ from dynaviz.io.atomic import sha256
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.execution import Surveyed, run_method
 from dynaviz.runs.options import RunOptions
+from dynaviz.runs.reviewed import digest_of
 from dynaviz.scores.result import Result, environment
 
 DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions may change labels
@@ -65,6 +66,7 @@ class CellTask:
             variant=chosen.variant,
             threads=threads,
             record=cell.record,
+            review=cell.review or None,
         )
         sequence = open_spec(cell.source)
         refine = cell.source.options.refine_poses
@@ -156,6 +158,7 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
         "online": (result.online, chosen.online),
         "seed": (result.seed, chosen.seed),
         "recording": (result.record, recorded),
+        "review": (result.sections.review and result.sections.review.sha256, _review(cell)),
         "code": (result.plugin.sha256 if result.plugin else "", code.sha256 if code else ""),
         **{package: (there.versions.get(package), here.versions[package]) for package in DECIDING},
     }
@@ -165,9 +168,10 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
         same["states recorded"] = result.instrumented, False
     for name, (found, needed) in same.items():
         if _plain(found) != _plain(needed):
+            changed = {"code": f"the code of {chosen.method}", "review": "the review"}
             return (
-                f"the code of {chosen.method} changed"
-                if name == "code"
+                f"{changed[name]} changed"
+                if name in changed
                 else f"{name} is {found!r}, not {needed!r}"
             )
     if recorded:
@@ -176,6 +180,11 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
                 return None
         return "run.rrd is missing or was changed"
     return None
+
+
+def _review(cell: BenchCell) -> str | None:
+    """The digest of the decisions that a cell follows; None if it follows none."""
+    return digest_of(cell.review) if cell.review else None
 
 
 def command(cell: BenchCell) -> str:
@@ -190,6 +199,7 @@ def command(cell: BenchCell) -> str:
     ]
     words += ["--online"] if chosen.online else []
     words += ["--seed", str(chosen.seed), "--record", cell.record]
+    words += ["--review", cell.review] if cell.review else []
     return shlex.join(words)
 
 

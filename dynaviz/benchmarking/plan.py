@@ -119,6 +119,7 @@ class BenchCell:
         digest: digest of the sequence's content; empty if it could not be read.
         record: how much its recording contains.
         timing: whether its runtime must be comparable: no recording, all cores.
+        review: file with the decisions that its ground truth follows; empty without one.
     """
 
     source: SequenceSpec
@@ -126,6 +127,7 @@ class BenchCell:
     digest: str
     record: str
     timing: bool = False
+    review: str = ""
 
     @property
     def path(self) -> Path:
@@ -161,7 +163,7 @@ class BenchPlan:
         sets, sources: the parameter sets, each of which runs on every sequence.
         holdout: names of the sequences that are hidden from the search.
         search: None without a search.
-        record, workers, timing: as the keys of the file.
+        record, workers, timing, review: as the keys of the file.
         seeds: of methods and simulated scenes; empty if each has its own.
     """
 
@@ -173,6 +175,7 @@ class BenchPlan:
     workers: int = 1
     timing: bool = False
     seeds: tuple[int, ...] = ()
+    review: str = ""
 
     def pairs(self, source: SequenceSpec, parameter_set: ParameterSet) -> bool:
         """Whether the set runs on the sequence: with several seeds, on scenes of its own seed."""

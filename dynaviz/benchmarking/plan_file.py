@@ -46,6 +46,7 @@ KEYS: dict[str, dict[str, Any]] = {
         "record": str,
         "workers": int,
         "timing": bool,
+        "review": str,
         "opening": dict,
     },
     "opening": _OPENING,
@@ -105,6 +106,7 @@ def plan_of(table: Mapping[str, Any], place: str = "bench") -> BenchPlan:
         workers,
         timing,
         seeds,
+        os.path.abspath(table["review"]) if table.get("review") else "",
     )
     _check(plan, place)
     return plan
@@ -137,6 +139,8 @@ def read(path: Path) -> dict[str, Any]:
             # otherwise a topic or frame of a bag
             entry["poses"] = os.path.abspath(base / entry["poses"])
     table["variants"] = [here(entry, "config") for entry in table.get("variants", [])]
+    if table.get("review"):
+        table["review"] = os.path.abspath(base / table["review"])
     return table
 
 

@@ -109,7 +109,8 @@ class CellRunner:
             self._digests[source] = self._digest(source)
         digest = self._digests[source]
         known = "" if isinstance(digest, DynavizError) else digest
-        return BenchCell(source, parameter_set, known, self.plan.record, self.plan.timing)
+        plan = self.plan
+        return BenchCell(source, parameter_set, known, plan.record, plan.timing, plan.review)
 
     def _digest(self, source: SequenceSpec) -> str | DynavizError:
         """The digest of a sequence, or the error if it cannot be read. Called once per sequence."""

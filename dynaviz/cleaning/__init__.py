@@ -7,29 +7,23 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shlex
 from pathlib import Path
 from typing import Unpack
 
 from dynaviz.cleaning.changes import Pair, find_changes
 from dynaviz.cleaning.cleaned import Cleaned
-from dynaviz.cleaning.doubt import doubt_of
+from dynaviz.cleaning.doubt import doubt_in
+from dynaviz.cleaning.followed import Reviewed
+from dynaviz.cleaning.map_settings import MapSettings
+from dynaviz.cleaning.reviewing import Review, run_of
 from dynaviz.cleaning.trajectory import UsedPoses
 from dynaviz.contracts.attributes import facts_of
 from dynaviz.contracts.registry import BEST
 from dynaviz.contracts.scan import Sequence
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.engine.cleaned_map import (
-    Judgement,
-    MapFile,
-    check_voxel_size,
-    region_is_empty,
-    write_maps,
-)
-from dynaviz.engine.region import Region
+from dynaviz.engine.cleaned_map import Judgement, region_is_empty, write_maps
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
-from dynaviz.io.maps import check_map_path
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.execution import run_method
 from dynaviz.runs.options import SequenceRunKeywords, split
@@ -37,7 +31,7 @@ from dynaviz.scores.labels import reasons_by_frame
 from dynaviz.sources.opening import Source, open_source
 from dynaviz.sources.sensing import estimate_sensor, sentence
 
-__all__ = ["Cleaned", "clean"]
+__all__ = ["Cleaned", "Review", "clean"]
 
 AUTOWARE = "autoware"  # a layout of divided maps
 
@@ -60,7 +54,9 @@ def clean(
     """Clean a map.
 
     Args:
-        sequence: an open sequence, a path, or a list of ``(points, pose)``.
+        sequence: an open sequence, a path, or a list of ``(points, pose)``; or the folder of a run,
+            whose map is written again from its labels and the decisions about it, in the same way
+            as its first map unless options say otherwise.
         out: the map: PCD, PLY, LAS, LAZ or NPZ, by its suffix; a folder for Autoware's divided map.
             The other files of the run are written to a folder next to it, ``clean_run`` for
             ``clean.laz``.
@@ -91,12 +87,37 @@ def clean(
     Raises:
         UsageError, DataError, MissingDependency: as ``open`` and ``run``.
     """
+    if (run := run_of(sequence)) is not None:
+        if changed or method != BEST or set(options) - {"review"}:
+            raise UsageError(
+                f"{run}: is a run, whose map is written without running a method. Give its "
+                "sequence to run one"
+            )
+        return Review(run, options.get("review"), progress=progress).write(
+            out,
+            region=region,
+            voxel_size=voxel_size,
+            keep_dynamic=keep_dynamic,
+            mark=mark,
+            drop_unposed=drop_unposed,
+            command=command,
+            progress=progress,
+        )
     opening, running = split(options)
     divided = running.tiles is not None
     if running.tiles == AUTOWARE:
         running = dataclasses.replace(running, tiles=None)
-    removed = None if keep_dynamic is None else Path(keep_dynamic)
-    files = _files(Path(out), region, voxel_size, divided, running.tile_size, removed, mark)
+    settings = MapSettings(
+        os.fspath(out),
+        region,
+        voxel_size,
+        None if keep_dynamic is None else os.fspath(keep_dynamic),
+        mark,
+        drop_unposed,
+        divided,
+        running.tile_size,
+    )
+    files = settings.files(running.review is not None)
     folder = run_folder(Path(out))
     opened = open_source(
         sequence, opening.without_refinement, folder=folder, estimate_missing=True,
@@ -117,8 +138,11 @@ def clean(
         progress=progress,
     )
     used: Sequence = result.answers.sequence  # with refined poses, if they were
+    review = None if running.review is None else Reviewed.of(used, running.review)
     judgement = Judgement(
-        result.labels, reasons_by_frame(folder / "labels.npz", result.labels) if mark else None
+        result.labels,
+        reasons_by_frame(folder / "labels.npz", result.labels) if mark else None,
+        review.applied if review else None,
     )
     followed = UsedPoses(used)
     maps, account = write_maps(used, judgement, files, progress, drop_unposed, followed.add)
@@ -132,10 +156,7 @@ def clean(
         )
     sensor = sentence(estimate_sensor(opened)) if opened.sensor.name == Sensor().name else ""
     facts = facts_of(opened)
-    source = " ".join(opened.provenance.sources) or "SEQ"
-    in_world = facts.get("points in", "").startswith("world")
-    words = shlex.split(command) or ["dynaviz", "clean", source, "-o", os.fspath(out)]
-    doubt = doubt_of(result, account, source, words, opened.estimated is None, in_world)
+    doubt = doubt_in(result, account, opened, command, Path(out), opened.estimated is None)
     cleaned = Cleaned(
         result=result,
         account=account,
@@ -148,7 +169,9 @@ def clean(
         trajectory=trajectory if written else None,
         marked=mark,
         changes=changes,
+        review=review,
     )
+    settings.save(folder)
     write_atomic(folder / "summary.md", cleaned.markdown().encode())
     return cleaned
 
@@ -156,47 +179,3 @@ def clean(
 def run_folder(out: Path) -> Path:
     """The folder for the files of the run that writes a map."""
     return out.with_name(f"{out.stem}_run")
-
-
-def _files(
-    out: Path,
-    region: str | None,
-    voxel_size: float | None,
-    divided: bool,
-    size: float | None,
-    removed: Path | None,
-    mark: bool,
-) -> list[MapFile]:
-    """The maps to write; all options are checked before anything is read."""
-    # a file per tile of the run, otherwise Autoware's layout
-    by_tile = size is not None and bool(out.suffix)
-    if by_tile or not divided:
-        check_map_path(out)
-    elif out.suffix or out.is_file():
-        raise UsageError(
-            f"{out}: a divided map is a folder. Give a name without a suffix, such as -o {out.stem}"
-        )
-    if by_tile and out.with_suffix("").is_file():
-        raise UsageError(
-            f"{out.with_suffix('')}: is a file, but the tiles need a folder of this name. Give "
-            "another -o"
-        )
-    check_voxel_size(voxel_size)
-    if mark and voxel_size is not None:
-        raise UsageError(
-            "--mark keeps all points, but --voxel-size one per voxel. Give one of the two"
-        )
-    parsed = None if region is None else Region.parse(region)
-    if by_tile:
-        map_ = MapFile(
-            out.with_suffix(""), False, False, size, out.suffix, parsed, voxel_size, mark
-        )
-    else:
-        map_ = MapFile(out, tiled=divided, region=parsed, voxel_size=voxel_size, marked=mark)
-    files = [map_]
-    if removed is not None:
-        check_map_path(removed)
-        if removed.resolve() == out.resolve():
-            raise UsageError(f"--keep-dynamic {removed}: is the map itself. Give another file")
-        files.append(MapFile(removed, removed=True, region=parsed))
-    return files

@@ -15,6 +15,7 @@ import numpy as np
 
 from dynaviz.cleaning.changes import Changes
 from dynaviz.cleaning.doubt import NOISY, Doubt
+from dynaviz.cleaning.followed import Reviewed
 from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import origin_of
 from dynaviz.engine.cleaned_map import WrittenMap
@@ -47,6 +48,7 @@ class Cleaned:
         trajectory: file with the poses that were used; None for several lidars.
         marked: whether the map has all points, marked.
         changes: what changed between two drives, if it was asked for.
+        review: the decisions that the map follows, and what they changed; None without any.
     """
 
     result: Result
@@ -60,6 +62,7 @@ class Cleaned:
     trajectory: Path | None = None
     marked: bool = False
     changes: Changes | None = None
+    review: Reviewed | None = None
 
     @property
     def removals(self) -> Removals:
@@ -69,8 +72,12 @@ class Cleaned:
     def headline(self) -> str:
         """One line: how many points were removed."""
         found = self.removals
-        share = "" if found.percent is None else f" ({found.percent:.1f} %)"
-        return f"Removed {found.removed:,} of {found.points:,} points{share}"
+        removed = found.removed
+        if self.review:
+            by_hand = self.review.applied.by_hand
+            removed += by_hand.removed - by_hand.kept
+        share = f" ({100.0 * removed / found.points:.1f} %)" if found.points else ""
+        return f"Removed {removed:,} of {found.points:,} points{share}"
 
     def to_dict(self) -> dict[str, Any]:
         """The summary in plain values, for JSON."""
@@ -113,6 +120,7 @@ class Cleaned:
             "clusters": msgspec.to_builtins(self.clusters),
             "failures": msgspec.to_builtins(run.failures),
             "changed": self.changes and self.changes.to_dict(),
+            "review": self.review and self.review.to_dict(),
             "folder": str(self.folder),
         }
 
@@ -156,7 +164,11 @@ class Cleaned:
                 "\nThe map has all points. `dynamic`: 0 static, 1 dynamic, 2 not judged. "
                 f"`reason`: {legend}."
             )
+            if self.review:
+                yield "`by_hand`: 1 where a decision changed the answer of the method."
         yield from self._about_poses()
+        if self.review:
+            yield from self.review.lines()
         if self.changes:
             yield from self.changes.lines()
         yield from _table("Removed by reason", "reason", list(found.reasons.items()), found.removed)

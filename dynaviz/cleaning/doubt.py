@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dynaviz.contracts.attributes import facts_of
 from dynaviz.scores.account import PointAccount
 from dynaviz.scores.result import Result
+from dynaviz.sources.opening import OpenedSequence
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -97,6 +101,29 @@ def doubt_of(
         "estimated poses that drift or lost track. Give those of a SLAM system with --poses FILE"
     )
     return Doubt(f"{removed}.", cause, doctor)
+
+
+def doubt_in(
+    result: Result,
+    account: PointAccount,
+    opened: OpenedSequence,
+    command: str,
+    out: Path,
+    given: bool,
+) -> Doubt | None:
+    """What is doubtful about the cleaning of a sequence; None if nothing is.
+
+    Args:
+        result, account, given: as for ``doubt_of``.
+        opened: the sequence.
+        command: that cleaned it; empty for one from Python.
+        out: the map.
+    """
+    facts = facts_of(opened)
+    source = " ".join(opened.provenance.sources) or "SEQ"
+    in_world = facts.get("points in", "").startswith("world")
+    words = shlex.split(command) or ["dynaviz", "clean", source, "-o", os.fspath(out)]
+    return doubt_of(result, account, source, words, given, in_world)
 
 
 def _with(words: Sequence[str], option: str) -> str:

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynaviz.cli.console import is_quiet, program, progress, show
-from dynaviz.cli.options import DEFAULTS, SEQUENCE, Quiet, RecordModeOption, takes
+from dynaviz.cli.options import (
+    DEFAULTS,
+    SEQUENCE,
+    Quiet,
+    RecordModeOption,
+    Review,
+    takes,
+)
 
 if TYPE_CHECKING:
     from dynaviz.benchmarking.leaderboard import Leaderboard
@@ -118,6 +125,7 @@ def bench(
             "deviation.",
         ),
     ] = None,
+    review: Review = None,
     quiet: Quiet = False,
     *,
     options: dict[str, Any],
@@ -153,6 +161,7 @@ def bench(
         record=record and record.value,
         holdout=holdout,
         seeds=_seeds(seed, seeds),
+        review=review and str(review),
     )
     table |= _grid_and_search(table, grid, search, trials, ranges, seed)
     try:

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import print_json, program, progress, show, warn
-from dynaviz.cli.options import RUN, SEQUENCE, Json, Quiet, method_names, takes, typed_command
+from dynaviz.cli.options import (
+    RUN,
+    SEQUENCE,
+    Json,
+    Moved,
+    Quiet,
+    method_names,
+    refuse,
+    takes,
+    typed_command,
+)
 from dynaviz.contracts.registry import BEST
+
+if TYPE_CHECKING:
+    from dynaviz.cleaning import Cleaned
 
 TILES = Annotated[
     str | None,
@@ -29,10 +42,10 @@ def clean(
     sequence: Annotated[
         list[str],
         typer.Argument(
-            metavar="SEQ",
+            metavar="SEQ|RUN",
             help="Bag, folder of scans or sequence; several drives in one world frame make one "
             "map. FORMAT:PATH forces "
-            "the format.",
+            "the format. A run's folder: write its map again, with the decisions about it.",
         ),
     ],
     out: Annotated[
@@ -85,6 +98,7 @@ def clean(
             "--accept", help="Exit with 0 even if much was removed or the poses are likely wrong."
         ),
     ] = False,
+    moved: Moved = None,
     json: Json = None,
     quiet: Quiet = False,
     *,
@@ -97,8 +111,13 @@ def clean(
     recording. Exit code 3: the map is written, but more than 30 % of its points were removed, or
     the poses are likely wrong; --accept gives 0 instead.
 
+    With the folder of a run, the map is written from its labels and the decisions in its
+    review.json, without running the method: with the same attributes, marks and tiles as the first.
+
     \b
     dynaviz clean drive.bag -o clean.laz
+    dynaviz clean clean_run -o signed.laz
+    dynaviz clean drive.bag -o clean.laz --review review.json
     dynaviz clean scans/ --poses trajectory.tum -o clean.pcd --voxel-size 0.1
     dynaviz clean drive.mcap -o map --tiles autoware --keep-dynamic removed.pcd
     dynaviz clean city/ -o city.laz --tiles 200 --workers 4
@@ -107,8 +126,23 @@ def clean(
     500100,5400200,500300,5400400
     """
     from dynaviz import cleaning
+    from dynaviz.cleaning.reviewing import run_of
     from dynaviz.precompile import compiling_the_rest
 
+    if len(sequence) == 1 and (run := run_of(sequence[0])) is not None:
+        own = {**options, "review": None, "changed": changed, "method": method != BEST}
+        refuse(own, "a run")
+        options = {name: options[name] for name in ("review", "record")}
+        written: dict[str, Any] = {
+            "region": region, "voxel_size": voxel_size, "keep_dynamic": keep_dynamic,
+            "mark": mark, "drop_unposed": drop_unposed,
+        }  # fmt: skip
+        with progress(f"write the map of {run}") as report:
+            review = cleaning.Review(run, options["review"], moved, report)
+            again = review.write(out, command=typed_command(), progress=report, **written)
+        _show(again, options, accept, json)
+        return
+    refuse({"sequence": moved}, "SEQ")
     with compiling_the_rest(method), progress(f"clean {' '.join(sequence)}") as report:
         cleaned = cleaning.clean(
             sequence if len(sequence) > 1 else sequence[0],
@@ -124,6 +158,11 @@ def clean(
             progress=report,
             **options,
         )
+    _show(cleaned, options, accept, json)
+
+
+def _show(cleaned: Cleaned, options: dict[str, Any], accept: bool, json: Path | None) -> None:
+    """Print the summary, and what to do next; exit with 3 if the map is doubtful."""
     if not print_json(cleaned.to_dict(), json):
         show(cleaned, f"Written to {cleaned.maps[0].path} and {cleaned.folder}.")
         if options["record"] != "none":

@@ -10,7 +10,7 @@ import typer
 
 from dynaviz import isolated
 from dynaviz.cli.console import print_json, program, progress, show
-from dynaviz.cli.options import Json, Quiet, recording_in
+from dynaviz.cli.options import Json, Quiet, Review, recording_in
 
 
 def compare(
@@ -35,6 +35,7 @@ def compare(
             help="Exit with code 1 if the AA of any other run minus the AA of A is below DELTA.",
         ),
     ] = None,
+    review: Review = None,
     quiet: Quiet = False,
 ) -> None:
     """Compare runs on the same sequence.
@@ -50,8 +51,16 @@ def compare(
     isolated.without_pandas()
     from dynaviz.views.compare.compare import Compared
 
+    opened = [recording_in(each) for each in recordings]
+    truth = None
+    if review is not None:
+        from dynaviz.runs.reviewed import truths
+        from dynaviz.runs.run import open_run
+
+        with progress("compare") as report:
+            truth = truths(open_run(opened[0]), review, report)
     with progress("compare", unit="recordings") as report:
-        compared = Compared([recording_in(each) for each in recordings], out, report)
+        compared = Compared(opened, out, report, truth)
     comparison = compared.comparison
     printed = print_json(comparison.to_dict(), json)
     if not printed:

@@ -80,6 +80,13 @@ Moved = Annotated[
     str | None,
     typer.Option("--sequence", metavar="SEQ", help="Sequence of the run, if it has moved."),
 ]
+Review = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Decisions of a person (review.json), which ground truth and maps follow.",
+    ),
+]
 
 SEQUENCE: dict[str, Any] = {
     "frames": Annotated[
@@ -199,6 +206,7 @@ RUN: dict[str, Any] = {
     "maps": Annotated[
         bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")
     ],
+    "review": Review,
 }
 """Options of commands that run a method on a sequence, by field of ``RunOptions``."""
 

@@ -15,6 +15,7 @@ from dynaviz.cli.options import (
     Quiet,
     Record,
     RecordModeOption,
+    Review,
     Threads,
     refuse,
     takes,
@@ -63,6 +64,7 @@ def score(
             help="Name of the array with the labels, for .npz files with several arrays.",
         ),
     ] = None,
+    review: Review = None,
     record: Record = RecordModeOption.errors,
     threads: Threads = None,
     moved: Moved = None,
@@ -80,14 +82,14 @@ def score(
     dynaviz score cleaned.laz path/to/sequence --radius 0.1 -o out/cleaned
     dynaviz score mapmos/sequences/08/predictions kitti/sequences/08 --name mapmos
     dynaviz score recordings/demo/octomap/labels.npz path/to/demo --name again
-    dynaviz score recordings/demo/octomap
+    dynaviz score recordings/demo/octomap --review review.json
 
     Label files are named by frame number (000000.label). They contain 0 and 1, or classes of
     SemanticKITTI, of which 251 and above are moving. Scans without a file are not scored.
 
-    With a run alone, this shows its scores against the corrected ground truth in its
-    corrections.json, which the explorer writes. The files of the run and its sequence do not
-    change.
+    With a run alone, this shows its scores against the ground truth that decisions state: those
+    of --review, or in the review.json of the run, which the explorer writes. The files of the run
+    and its sequence do not change.
     """
     if sequence is None:
         own = {"out": out, "name": name, "key": key, "json": json, "threads": threads}
@@ -95,9 +97,9 @@ def score(
             {**options, **own, "radius": radius != RADIUS, "record": record},
             "a run alone. Give SEQ, too",
         )
-        from dynaviz.runs.relabelling import rescore
+        from dynaviz.runs.reviewed import reviewed_scores
 
-        show(str(rescore(map, moved)))
+        show(str(reviewed_scores(map, moved, review)))
         return
     refuse({"sequence": moved}, "SEQ")
     from dynaviz import api
@@ -116,6 +118,7 @@ def score(
             out=folder,
             record=record.value,
             threads=threads,
+            review=review,
             command=typed_command(),
             progress=report,
         )

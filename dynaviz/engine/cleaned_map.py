@@ -27,6 +27,7 @@ from dynaviz.contracts.attributes import (
 )
 from dynaviz.contracts.scan import Scan, stream
 from dynaviz.contracts.scan import Sequence as ScanSequence
+from dynaviz.engine.loop import Reviewing
 from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
 from dynaviz.io.las import GPS_EPOCH, adjusted_gps_time
@@ -52,6 +53,7 @@ class MapFile:
         voxel_size: write one point per voxel of this edge, metres: the first one. None for all
             points.
         marked: write all points, with the attributes ``dynamic`` and ``reason``.
+        by_hand: mark also the points whose answer a decision changed.
         reason: write only the points with this code of the method; None for all.
     """
 
@@ -63,6 +65,7 @@ class MapFile:
     region: Region | None = None
     voxel_size: float | None = None
     marked: bool = False
+    by_hand: bool = False
     reason: int | None = None
 
 
@@ -84,6 +87,7 @@ NO_REASON = 255
 """Value of the attribute ``reason`` of points that were not judged."""
 
 _MARKS = {"dynamic": np.dtype(np.uint8), "reason": np.dtype(np.uint8)}
+_BY_HAND = {"by_hand": np.dtype(np.uint8)}
 
 
 @dataclass(frozen=True)
@@ -94,10 +98,12 @@ class Judgement:
         labels: (N,) bool for each frame by position, True for removed points.
         reasons: (N,) uint8 for each frame, in order: codes of the method; None if no file needs
             them.
+        review: decisions of a person, which change labels.
     """
 
     labels: Sequence[Bool]
     reasons: Iterable[U8] | None = None
+    review: Reviewing | None = None
 
 
 def write_maps(
@@ -141,11 +147,18 @@ def write_maps(
         frames = zip(stream(_Frames(sequence)), reasons, strict=False)
         for position, ((scan, xyz, attributes), codes) in enumerate(frames):
             seen(scan)
+            dynamic = judgement.labels[position]
+            by_hand = None
+            if judgement.review is not None:
+                decided, _ = judgement.review.answers(scan, dynamic)
+                by_hand = decided != dynamic
+                dynamic = decided
             points = _Points(
                 xyz=xyz,
                 finite=all_finite(scan.points),
                 attributes=conform(attributes, len(scan), position),
-                dynamic=judgement.labels[position],
+                dynamic=dynamic,
+                by_hand=by_hand,
                 reasons=codes,
                 times=None if scan.stamp_ns is None else _times(scan, scan.stamp_ns),
             )
@@ -207,6 +220,7 @@ class _Points:
         finite: (N,) bool.
         attributes: (N,) each.
         dynamic: (N,) bool, True for removed points; None for points that were not judged.
+        by_hand: (N,) bool, points whose answer a decision changed; None without decisions.
         reasons: (N,) uint8, if they are known.
         times: (N,) int64, nanoseconds, if they are known.
     """
@@ -215,6 +229,7 @@ class _Points:
     finite: Bool
     attributes: Attributes
     dynamic: Bool | None = None
+    by_hand: Bool | None = None
     reasons: U8 | None = None
     times: I64 | None = None
 
@@ -233,7 +248,12 @@ class _Points:
             else np.where(self.dynamic, JUDGED_DYNAMIC, JUDGED_STATIC)
         )
         reasons = np.full(n, NO_REASON) if self.reasons is None else self.reasons
-        return {"dynamic": dynamic.astype(np.uint8), "reason": reasons.astype(np.uint8)}
+        by_hand = np.zeros(n) if self.by_hand is None else self.by_hand
+        return {
+            "dynamic": dynamic.astype(np.uint8),
+            "reason": reasons.astype(np.uint8),
+            "by_hand": by_hand.astype(np.uint8),
+        }
 
 
 def _seconds(times: I64) -> F64:
@@ -313,7 +333,8 @@ class _Map:
         self._origin = origin
         self._voxels = KeySet()
         self._clock = clock if (file.suffix or file.path.suffix).lower() in LAS else None
-        marks = _MARKS if file.marked else {}
+        marks = {**_MARKS, **(_BY_HAND if file.by_hand else {})} if file.marked else {}
+        self._marks = tuple(marks)
         if replaced := [name for name in marks if name in fields]:
             warnings.warn(
                 f"{file.path}: the marks replace the attribute {' and '.join(replaced)}",
@@ -335,6 +356,9 @@ class _Map:
         chosen = self._take("not_finite", np.arange(len(points.xyz)), points.finite)
         if points.dynamic is not None and not self._file.marked:
             self._account["removed"] += int(points.dynamic[chosen].sum())
+            if points.by_hand is not None:
+                by_hand = points.by_hand[chosen] & points.dynamic[chosen]
+                self._account["removed_by_hand"] += int(by_hand.sum())
             chosen = chosen[points.dynamic[chosen] == self._file.removed]
         if (wanted := self._file.reason) is not None:
             chosen = (
@@ -354,12 +378,18 @@ class _Map:
             marked = int(points.dynamic[chosen].sum()) if self._file.marked else 0
             self._account["removed"] += marked
             self._account["kept"] += len(chosen) - marked
+            if points.by_hand is not None:
+                by_hand = points.by_hand[chosen]
+                removed = int((by_hand & points.dynamic[chosen]).sum())
+                self._account["removed_by_hand"] += removed if self._file.marked else 0
+                self._account["kept_by_hand"] += int(by_hand.sum()) - removed
         attributes = {name: array[chosen] for name, array in points.attributes.items()}
         if self._clock:
             known = None if points.times is None else points.times[chosen]
             attributes["gps_time"] = np.zeros(len(chosen)) if known is None else self._clock(known)
         if self._file.marked:
-            attributes |= {name: array[chosen] for name, array in points.marks().items()}
+            marks = points.marks()
+            attributes |= {name: marks[name][chosen] for name in self._marks}
         self._append(points.xyz[chosen], attributes)
         self.written.points += len(chosen)
 

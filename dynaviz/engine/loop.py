@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import all_finite
+from dynaviz.arrays import U8, Bool, all_finite
 from dynaviz.contracts.at_sensor import AtSensor, unjudged
 from dynaviz.contracts.attributes import unposed_of
 from dynaviz.contracts.extent import Extent
@@ -45,6 +45,18 @@ from dynaviz.tasks.memory import peak_rss_mb
 MAX_MAP_POINTS = (1 << 31) - 1  # methods that need the raw map number its points in int32
 
 
+class Reviewing(Protocol):
+    """Decisions of a person on a sequence (``dynaviz.reviews``)."""
+
+    def answers(self, scan: Scan, dynamic: Bool) -> tuple[Bool, U8]:
+        """(N,) bool answers with the decisions, and (N,) uint8 what they are."""
+        ...
+
+    def truth(self, scan: Scan) -> Scan:
+        """The scan with the ground truth that the decisions state."""
+        ...
+
+
 @dataclass(frozen=True)
 class RunSpec:
     """What to run.
@@ -67,6 +79,7 @@ class RunSpec:
         folder: for the files of the run; None if it writes none.
         recording: its file; None if there is none.
         summary: of the sequence if it is known, which saves a pass over it.
+        review: decisions that ground truth and maps follow; labels do not.
     """
 
     labeller: Labeller
@@ -86,6 +99,7 @@ class RunSpec:
     recording: Path | None = None
     summary: SequenceSummary | None = None
     pose_findings: tuple[PoseFinding, ...] = ()
+    review: Reviewing | None = None
 
     @property
     def method(self) -> Method | None:
@@ -262,6 +276,8 @@ def labelled_by(
     labels = call(seen)
     _check(info.name, labels, len(scan))
     labels = labels if found is None else unjudged(labels, found, info)
+    if run.review is not None and run.sequence.has_labels:
+        scan = run.review.truth(scan)
     return Labelled.of(frame, scan, labels.dynamic, labels.reasons, labels.answered)
 
 

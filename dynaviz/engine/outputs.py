@@ -14,7 +14,7 @@ import numpy as np
 from dynaviz.arrays import F64, all_finite
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.params import to_toml
-from dynaviz.engine.loop import Listener, RunSpec
+from dynaviz.engine.loop import Listener, Reviewing, RunSpec
 from dynaviz.io.atomic import atomic_file, remove, write_atomic
 from dynaviz.io.pcd import PcdWriter
 from dynaviz.scores.result import Result
@@ -109,7 +109,7 @@ class RemoveStaleOutputs(Listener):
 
 class MapFiles(Listener):
     """Writes ``static_map.pcd`` (kept points) and ``dynamic_points.pcd`` (removed points), of the
-    finite ones.
+    finite ones, with the decisions of the run's review.
 
     Args:
         folder: the folder.
@@ -122,6 +122,7 @@ class MapFiles(Listener):
         kinds = dict.fromkeys("xyz", np.float64 if self._origin.any() else np.float32)
         self._kept = PcdWriter(folder / "static_map.pcd", kinds, np.eye(4))
         self._removed = PcdWriter(folder / "dynamic_points.pcd", kinds, np.eye(4))
+        self._review: Reviewing | None = None
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> MapFiles:
@@ -132,10 +133,17 @@ class MapFiles(Listener):
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
 
+    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
+        """Take the decisions that the maps follow."""
+        self._review = run.review
+
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Append the points of a frame."""
         finite = all_finite(labelled.scan.points)
-        for writer, chosen in ((self._kept, ~labelled.dynamic), (self._removed, labelled.dynamic)):
+        dynamic = labelled.dynamic
+        if self._review is not None:
+            dynamic, _ = self._review.answers(labelled.scan, dynamic)
+        for writer, chosen in ((self._kept, ~dynamic), (self._removed, dynamic)):
             points = labelled.scan.points[chosen & finite]
             columns = (points.astype(np.float64) + self._origin if self._origin.any() else points).T
             writer.append(**dict(zip("xyz", columns, strict=True)))

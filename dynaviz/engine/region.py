@@ -83,12 +83,12 @@ class Region:
         for axis in range(3):
             inside &= (xyz[:, axis] >= self.low[axis]) & (xyz[:, axis] <= self.high[axis])
         if self.polygon is not None:
-            inside &= _in_polygon(xyz[:, 0], xyz[:, 1], self.polygon)
+            inside &= in_polygon(xyz[:, 0], xyz[:, 1], self.polygon)
         return inside
 
 
-def _in_polygon(x: F64, y: F64, corners: F64) -> Bool:
-    """(N,) bool: which points are in a polygon.
+def in_polygon(x: F64, y: F64, corners: F64) -> Bool:
+    """(N,) bool: which points, (N,) metres each, are in a polygon of (K, 2) corners.
 
     A line from there along x crosses its edges an odd number of times.
     """

@@ -9,10 +9,11 @@ import threading
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
+from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import UsageError
 from dynaviz.explain.case_evidence import evidence_text
 from dynaviz.explain.deciding import decided_by
@@ -24,15 +25,9 @@ from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.reruns import Rerun
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.runs.relabelling import (
-    LABELS,
-    Box,
-    Correction,
-    Truth,
-    correct,
-    read_corrections,
-    rescore,
-)
+from dynaviz.reviews.decisions import CORRECTED, LABELS, Decision, case_key
+from dynaviz.reviews.regions import ObjectRegion, Piece
+from dynaviz.runs.reviewed import decisions_of, reviewed_scores
 from dynaviz.runs.stored_evidence import Stored
 from dynaviz.views.read.focus import CASE, LAYOUTS, MAP
 from dynaviz.views.read.shot import LARGEST, shot
@@ -244,8 +239,20 @@ class Explored:
 
     def _corrections(self, run: ExploredRun) -> dict[int, str]:
         """The corrected truth by number of the case."""
-        found = read_corrections(run.path.parent, run.result.sequence.digest).corrections
-        return {each.case: each.truth for each in found}
+        keys = self._keys(run)
+        return {
+            keys[each.key]: each.verdict
+            for each in decisions_of(run.run).standing
+            if each.key in keys and each.verdict in LABELS
+        }
+
+    def _keys(self, run: ExploredRun) -> dict[str, int]:
+        """Numbers of the cases of a run by the keys of the questions about their truth."""
+        digest = run.result.sequence.digest
+        return {
+            case_key(digest, number): number
+            for number in range(1, len(run.result.failures) + 1)
+        }  # fmt: skip
 
     def _correct(self, query: Query) -> dict[int, str]:
         """Correct the ground truth of a case, or, without ``truth``, withdraw that.
@@ -258,24 +265,38 @@ class Explored:
         card = self._card(letter, _number(query, "case"))
         if not run.result.has_truth:
             raise UsageError(f"{run.path} has no ground truth to correct")
-        if truth is None:
-            made = None
-        elif truth in LABELS:
-            made = Correction(
-                card.number,
-                card.title,
-                cast(Truth, truth),
-                tuple(Box(*box) for box in cards.boxes(run, card)),
-            )
-        else:
+        if truth is not None and truth not in LABELS:
             raise UsageError(f"truth {truth}: choose from {', '.join(LABELS)}")
-        with self._lock:
-            correct(run.path.parent, run.result.sequence.digest, card.number, made)
+        decisions = decisions_of(run.run)
+        key = case_key(run.result.sequence.digest, card.number)
+        for each in decisions.standing:
+            if each.key == key:
+                decisions.undo(each.id)
+        if truth is not None:
+            decisions.add(self._correction(run, card, cast(Any, truth), key))
         return self._corrections(run)
 
+    def _correction(
+        self, run: ExploredRun, card: cards.Card, truth: Literal["static", "dynamic"], key: str
+    ) -> Decision:
+        """A decision on the boxes of a case.
+
+        The recording lacks the offset of the world, so its coordinates do, too.
+        """
+        pieces = [
+            Piece(run.index_of(frame), low, high) for frame, low, high in cards.boxes(run, card)
+        ]
+        pieces.sort(key=lambda piece: piece.time)
+        region = ObjectRegion("frame", tuple(pieces), margin=CORRECTED)
+        by = f"{run.result.method} on {run.result.sequence.name}"
+        return Decision(
+            truth, region, what=card.title, by=by, key=key, local=True,
+            answered="kept" if card.outcome == Outcome.FALSE_NEGATIVE else "removed",
+        )  # fmt: skip
+
     def _rescored(self, query: Query) -> dict[str, str]:
-        """The scores with the corrections, in a line."""
-        return {"text": str(rescore(self.runs[self._letter(query)].path))}
+        """The scores against the ground truth with the decisions, in a line."""
+        return {"text": str(reviewed_scores(self.runs[self._letter(query)].path))}
 
     def _layout(self, query: Query) -> bytes:
         """The layout of a case, a frame or the map, as a recording."""

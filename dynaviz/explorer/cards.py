@@ -17,7 +17,7 @@ from dynaviz.contracts.scan import Outcome
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.rays import evenly
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.runs.relabelling import Corner
+from dynaviz.reviews.regions import Corner
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.sections import RemovedCluster
 from dynaviz.views.cases import OUTCOMES, middle_of, title_of

@@ -140,6 +140,10 @@ class ExploredRun:
         """The drawn points that are wrong; without ground truth, those that were removed."""
         return WrongPoints(list(self._drawn.values()))
 
+    def index_of(self, frame: int) -> int:
+        """The number in the data set of a frame of the run."""
+        return self._answers[frame].index
+
     def drawn(self, frame: int) -> DrawnPoints | None:
         """The drawn points of a frame."""
         return self._drawn.get(frame)

@@ -77,17 +77,17 @@ class Owner:
 
 
 @contextlib.contextmanager
-def locked(folder: Path, command: str = "") -> Iterator[None]:
+def locked(folder: Path, command: str = "", name: str = NAME) -> Iterator[None]:
     """Let no other process write into a folder, which is created if it does not exist.
 
     The lock is a file in the folder, with the command. A killed process leaves it behind; it then
-    has no effect.
+    has no effect. With another name, the lock guards one file of the folder.
 
     Raises:
         DataError: if a process, named in the message, holds the lock, or the folder cannot be
             written.
     """
-    path = folder / NAME
+    path = folder / name
     try:
         folder.mkdir(parents=True, exist_ok=True)
         while not _create(path, Owner.here(command)):
@@ -138,7 +138,7 @@ def _clear(path: Path) -> None:
         DataError: if the process is alive.
     """
     # only one process at a time may remove a lock that is not its own
-    guard = path.with_name(f"{NAME}.clearing")
+    guard = path.with_name(f"{path.name}.clearing")
     try:
         guard.mkdir()
     except FileExistsError:

@@ -32,7 +32,9 @@ from dynaviz.engine.source_check import SourceCheck, source_check
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
 from dynaviz.progress import Progress, silent
+from dynaviz.reviews.decisions import Decisions
 from dynaviz.runs.options import Record, RunOptions
+from dynaviz.runs.reviewed import ReviewOfRun
 from dynaviz.runs.tiles.grid import TileCounts
 from dynaviz.runs.tiles.label_tiles import TileOptions, label_tiles
 from dynaviz.scores.result import RecordMode, Result
@@ -118,6 +120,7 @@ def run_method(
         raise UsageError(
             "view needs a recording: give out=FOLDER or record=FILE.rrd, and not record=none"
         )
+    review = review_of(options.review, sequence)
     spec = RunSpec(
         labeller=kind(resolved.params),
         sequence=sequence,
@@ -135,18 +138,20 @@ def run_method(
         folder=out,
         recording=recording,
         summary=survey.summary if survey else None,
+        review=review.applied if review else None,
     )
     budget = budget_of(options)
     if (size := options.tile_size) is not None:
         tiles = TileOptions(size, options.workers, options.scheduler, budget)
-        result = _run_tiles(spec, tiles, options.maps, progress)
+        result = _run_tiles(spec, tiles, options.maps, progress, review)
     elif options.workers != 1 or options.scheduler:
         raise UsageError("workers and scheduler run tiles: give tiles=METRES, too")
     else:
         late = None if survey or refine_poses else partial(Surveyed.of, given, progress)
         result = run_spec(
-            spec, progress, view=options.view, maps=options.maps, budget=budget, survey=late
-        )
+            spec, progress, view=options.view, maps=options.maps, budget=budget, survey=late,
+            review=review,
+        )  # fmt: skip
     _warn_of_size(recording, result, budget)
     return result
 
@@ -158,6 +163,7 @@ def score_external(
     out: Path | None = None,
     record: Record | str | os.PathLike[str] = "errors",
     threads: int | None = None,
+    review: str | os.PathLike[str] | None = None,
     command: str = "",
     progress: Progress = silent,
 ) -> Result:
@@ -167,6 +173,7 @@ def score_external(
         raise UsageError(
             f"the files of the run would overwrite {external.path}: give another folder than {out}"
         )
+    decided = review_of(review, sequence, makes_truth=not sequence.has_labels)
     spec = RunSpec(
         labeller=external,
         sequence=sequence,
@@ -178,8 +185,18 @@ def score_external(
         record=mode,
         folder=out,
         recording=recording,
+        review=decided.applied if decided else None,
     )
-    return run_spec(spec, progress, check=source_check(external))
+    return run_spec(spec, progress, check=source_check(external), review=decided)
+
+
+def review_of(
+    review: str | os.PathLike[str] | None, sequence: Sequence, makes_truth: bool = False
+) -> ReviewOfRun | None:
+    """What counts the decisions of a file on a sequence; None without a file."""
+    if review is None:
+        return None
+    return ReviewOfRun(Decisions.existing(review), sequence, makes_truth)
 
 
 def metrics_of(info: MethodInfo) -> tuple[Metric, ...]:
@@ -223,6 +240,7 @@ def run_spec(
     budget: int | None = None,
     check: SourceCheck | None = None,
     survey: Callable[[], Surveyed] | None = None,
+    review: ReviewOfRun | None = None,
 ) -> Result:
     """Run and write all files; each appears only when it is complete, ``result.json`` last.
 
@@ -234,13 +252,19 @@ def run_spec(
         budget: bytes of the recording; None for any size.
         check: of another program's output.
         survey: surveys the sequence, which the run would do itself otherwise.
+        review: counts the decisions of a person.
     """
     with _locked(spec):
         if survey is not None:
             found = survey()
             spec = replace(spec, summary=found.summary, pose_findings=found.findings)
-        others, more = ((), dict) if check is None else ([check], check.sections)
-        return _run(spec, progress, view, maps, budget, others, more)
+        parts = [each for each in (check, review) if each is not None]
+        return _run(spec, progress, view, maps, budget, parts, _sections_of(parts))
+
+
+def _sections_of(parts: Iterable[SourceCheck | ReviewOfRun]) -> Callable[[], Mapping[str, Any]]:
+    """What gives the sections of some listeners at the end of a run."""
+    return lambda: {name: found for part in parts for name, found in part.sections().items()}
 
 
 def _locked(spec: RunSpec) -> contextlib.AbstractContextManager[Any]:
@@ -299,7 +323,13 @@ class _Forgetting(Listener):
             self._run.method.begin(of_one_scan(self._run)[1])
 
 
-def _run_tiles(spec: RunSpec, options: TileOptions, maps: bool, progress: Progress) -> Result:
+def _run_tiles(
+    spec: RunSpec,
+    options: TileOptions,
+    maps: bool,
+    progress: Progress,
+    review: ReviewOfRun | None,
+) -> Result:
     """Run every tile, then score and record the labels of all as those of one run."""
     folder = spec.folder
     if folder is None:
@@ -321,7 +351,7 @@ def _run_tiles(spec: RunSpec, options: TileOptions, maps: bool, progress: Progre
         )
         whole = replace(spec, labeller=labeller, summary=labeller.summary)
         counts = TileCounts(options.size)
-        others: list[Listener] = [counts]
+        others: list[Listener] = [counts, *([review] if review else [])]
         if drawn:
             from dynaviz.views.record.overview import Overview
 
@@ -329,7 +359,8 @@ def _run_tiles(spec: RunSpec, options: TileOptions, maps: bool, progress: Progre
         budget = share if drawn else options.budget
 
         def tiling() -> Mapping[str, Any]:
-            return {"tiling": msgspec.structs.replace(labeller.tiling, tile=counts.rows())}
+            found = review.sections() if review else {}
+            return {**found, "tiling": msgspec.structs.replace(labeller.tiling, tile=counts.rows())}
 
         return _run(whole, progress, False, maps, budget, others, tiling)
 

@@ -41,6 +41,7 @@ class RunKeywords(MethodKeywords, total=False):
     workers: int
     scheduler: str | None
     maps: bool
+    review: str | os.PathLike[str] | None
 
 
 class SequenceRunKeywords(SequenceKeywords, RunKeywords, total=False):
@@ -98,6 +99,8 @@ class RunOptions(MethodOptions):
         workers: number of tiles that run at a time, each in its own process.
         scheduler: address of a Dask scheduler whose workers run the tiles instead.
         maps: write ``static_map.pcd`` and ``dynamic_points.pcd``.
+        review: a file with decisions (``docs/review.md``), which maps and ground truth follow. The
+            labels stay those of the method.
     """
 
     online: bool | None = None
@@ -109,6 +112,7 @@ class RunOptions(MethodOptions):
     workers: int = 1
     scheduler: str | None = None
     maps: bool = True
+    review: str | os.PathLike[str] | None = None
 
     @property
     def tile_size(self) -> float | None:

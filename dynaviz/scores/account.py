@@ -8,7 +8,7 @@ from msgspec import Struct
 class PointAccount(Struct, frozen=True):
     """Where the points of a sequence went when a map was written.
 
-    Each point counts once, so ``points`` is the sum.
+    Each point counts once, so ``points`` is the sum; those changed by hand are counted again.
 
     Attributes:
         points: all of the selected frames, and those that no pose covers.
@@ -18,6 +18,8 @@ class PointAccount(Struct, frozen=True):
         not_finite: points with NaN or infinite coordinates, not in the map.
         outside_region: kept points outside the region of the map.
         thinned: kept points in voxels that have a point.
+        kept_by_hand, removed_by_hand: of the kept and removed points, those whose answer the
+            decisions of a person changed.
     """
 
     points: int = 0
@@ -28,6 +30,8 @@ class PointAccount(Struct, frozen=True):
     not_finite: int = 0
     outside_region: int = 0
     thinned: int = 0
+    kept_by_hand: int = 0
+    removed_by_hand: int = 0
 
     @property
     def percent(self) -> float | None:
@@ -55,4 +59,9 @@ class PointAccount(Struct, frozen=True):
             f"{self.outside_region:,} outside the region",
             *([f"{self.thinned:,} in voxels that have a point"] if self.thinned else []),
         ]
-        return f"{self.points:,} in = {' + '.join(parts)}"
+        by_hand = (
+            f"; by hand: {self.kept_by_hand:,} of the kept, {self.removed_by_hand:,} of the removed"
+            if self.kept_by_hand or self.removed_by_hand
+            else ""
+        )
+        return f"{self.points:,} in = {' + '.join(parts)}{by_hand}"

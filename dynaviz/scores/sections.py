@@ -328,6 +328,25 @@ class Tiling(Struct, frozen=True):
     tile: tuple[TileRow, ...] = ()
 
 
+class ReviewSection(Struct, frozen=True):
+    """What the decisions of a person did in a run; the labels of the run are its method's.
+
+    Attributes:
+        file: with the decisions, absolute; sha256: digest of the file.
+        decisions, unmatched: how many hold, and how many of them match no point.
+        kept, removed: points whose answer they change.
+        metrics: SA, DA, AA and HA in percent of the answers with the decisions.
+    """
+
+    file: str
+    sha256: str = ""
+    decisions: int = 0
+    unmatched: int = 0
+    kept: int = 0
+    removed: int = 0
+    metrics: Mapping[str, float | None] = {}
+
+
 class Sections(Struct, frozen=True, omit_defaults=True):
     """What the metrics found; None or empty where a metric did not run.
 
@@ -347,6 +366,7 @@ class Sections(Struct, frozen=True, omit_defaults=True):
     failures: Failures | None = None
     reasons: Reasons | None = None
     removals: Removals | None = None
+    review: ReviewSection | None = None
     tiling: Tiling | None = None
     voxelwise: Voxelwise | None = None
     other: Mapping[str, Any] = {}

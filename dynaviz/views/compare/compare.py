@@ -6,10 +6,11 @@ Open and check them, count agreement, and write a merged recording.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dynaviz.arrays import U8
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import sha256
 from dynaviz.progress import Progress, silent
@@ -46,6 +47,8 @@ class Compared:
             first.
         out: where a recording will be written that shows them side by side; None if none will.
         progress: called with a phase, the number of recordings done, and their total number.
+        truths: another ground truth for the points of all runs: (N,) uint8, a ``Label`` per point,
+            by position of the frame.
 
     Attributes:
         comparison: what they differ in.
@@ -61,8 +64,11 @@ class Compared:
         recordings: Sequence[str | os.PathLike[str]],
         out: str | os.PathLike[str] | None = None,
         progress: Progress = silent,
+        truths: Mapping[int, U8] | None = None,
     ) -> None:
         self._opened = opened = _open(recordings, out)
+        for recording in opened:
+            recording.correct(truths or {})
         results = [_result(recording) for recording in opened]
         unscored = _leave_out_unanswered(opened, results)
         self._counts = counts = _count(opened, progress)

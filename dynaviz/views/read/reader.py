@@ -5,12 +5,13 @@ drawn.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import json
 import os
 import warnings
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -22,7 +23,7 @@ from rerun.chunk import RrdReader
 
 from dynaviz.arrays import F32, F64, I64, U8
 from dynaviz.contracts.method import Cause, Reason
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import Outcome, outcomes
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.scores.comparison.frame_answers import ARCHETYPE, FrameAnswers
@@ -39,6 +40,7 @@ NEEDED = (  # properties that every recording of a run has
     "mode", "params_json",
     "seed", "online", "complete",
 )  # fmt: skip
+REMOVED = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED)
 COUNTS = ("schema", "frames", "points", "seed")  # properties that are integers
 COMPARISON = (
     "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
@@ -250,10 +252,19 @@ class RunRecording(AnyRecording):
                 hint="Give the run.rrd of a run",
             )
         self._unscored: frozenset[int] = frozenset()
+        self._truths: Mapping[int, U8] = {}
 
     def leave_out(self, frames: Iterable[int]) -> None:
         """Read the points of these frames as points without ground truth from now on."""
         self._unscored = frozenset(frames)
+
+    def correct(self, truths: Mapping[int, U8]) -> None:
+        """Read points with another ground truth from now on.
+
+        Args:
+            truths: (N,) uint8, a ``Label`` per point, by position of the frame.
+        """
+        self._truths = truths
 
     @property
     def complete(self) -> bool:
@@ -362,6 +373,13 @@ class RunRecording(AnyRecording):
                     at=f"frame {frame}",
                     hint="Run the method again",
                 ) from error
+            if (truth := self._truths.get(frame)) is not None:
+                if len(truth) != len(answers):
+                    problem = f"has {len(answers)} points, of which the sequence has {len(truth)}"
+                    raise DataError(
+                        self.path, problem, at=f"frame {frame}", hint="Run the method again"
+                    )
+                answers = dataclasses.replace(answers, truth=truth)
             yield answers.unscored() if frame in self._unscored else answers
 
     def drawn(self) -> Iterator[DrawnPoints]:
@@ -381,11 +399,14 @@ class RunRecording(AnyRecording):
                 outcome = classes.outcomes(components["Points3D:class_ids"])
                 if frame in self._unscored:
                     outcome = np.full(len(xyz), Outcome.UNLABELLED_KEPT, np.uint8)
+                point = components.get("dynaviz.Scan:point", every).astype(np.int64)
+                if (truth := self._truths.get(frame)) is not None and frame not in self._unscored:
+                    outcome = outcomes(truth[point], np.isin(outcome, REMOVED))
                 points = DrawnPoints(
                     frame,
                     xyz,
                     outcome,
-                    components.get("dynaviz.Scan:point", every).astype(np.int64),
+                    point,
                     components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
                 )
             yield points

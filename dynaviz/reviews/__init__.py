@@ -1,0 +1,1 @@
+"""Decisions of a person about parts of a world, and the places worth a decision."""
