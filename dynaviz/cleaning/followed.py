@@ -70,10 +70,12 @@ class Reviewed:
         yield "|---|---|---:|---:|---:|---|---|---|"
         for each in by_hand.effects:
             made = each.decision
-            words = [made.reviewer, made.reason, made.made[:19]]
-            reviewer, reason, when = (word.replace("|", "/").replace("\n", " ") for word in words)
+            words = [made.what or made.kind, made.reviewer, made.reason, made.made[:19]]
+            what, reviewer, reason, when = (
+                word.replace("|", "/").replace("\n", " ") for word in words
+            )
             points = f"{each.points:,}" if each.points else "matches none"
             yield (
-                f"| {made.verdict} | {made.what or made.region.__struct_config__.tag} | {points} | "
+                f"| {made.verdict} | {what} | {points} | "
                 f"{each.kept:,} | {each.removed:,} | {reviewer} | {reason} | {when} |"
             )

@@ -67,7 +67,8 @@ class MapSettings(Struct, frozen=True):
     def like(self, out: Path, **given: Any) -> MapSettings:
         """These settings for another map, with those that are given and not None."""
         changed = {name: value for name, value in given.items() if value not in (None, False)}
-        found = msgspec.structs.replace(self, out=os.fspath(out), keep_dynamic=None, **changed)
+        same = {"out": os.fspath(out), "keep_dynamic": None}  # a file of the first map stays
+        found = msgspec.structs.replace(self, **{**same, **changed})
         if found.divided and found.tile_size is None and out.suffix:
             return msgspec.structs.replace(found, divided=False)
         return found

@@ -102,14 +102,14 @@ class Decision(Struct, frozen=True, tag="decision"):
     local: bool = False
 
     @property
+    def kind(self) -> str:
+        """Of its region: ``object``, ``box`` or ``polygon``."""
+        return str(self.region.__struct_config__.tag)
+
+    @property
     def sentence(self) -> str:
         """The decision in one line."""
-        what = (
-            self.what
-            or {"object": "object", "box": "box", "polygon": "polygon"}[
-                str(self.region.__struct_config__.tag)
-            ]
-        )
+        what = self.what or self.kind
         was = f", which was {self.answered}" if self.answered else ""
         who = f" ({self.reviewer})" if self.reviewer else ""
         why = f": {self.reason}" if self.reason else ""
@@ -181,16 +181,17 @@ class Decisions:
             The decision with its id and time.
 
         Raises:
-            UsageError: for a region that is empty.
+            UsageError: for a region that is empty, or values of other types.
             DataError: if the file is damaged or cannot be written.
         """
-        try:
-            check_region(decision.region)
-        except ValueError as error:
-            raise UsageError(f"decision: {error}") from None
         found = msgspec.structs.replace(
             decision, id=decision.id or secrets.token_hex(6), made=decision.made or now()
         )
+        try:
+            found = msgspec.convert(msgspec.to_builtins(found, enc_hook=_plain_number), Decision)
+            check_region(found.region)
+        except (msgspec.ValidationError, ValueError, TypeError) as error:
+            raise UsageError(f"decision: {error}") from None
         self._append(found)
         return found
 
@@ -225,6 +226,13 @@ class Decisions:
                     raise
                 time.sleep(0.02)
         self.entries = entries
+
+
+def _plain_number(value: object) -> object:
+    """A number or an array of NumPy as one of Python."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{value!r} is no number")
 
 
 def case_key(digest: str, number: int) -> str:
