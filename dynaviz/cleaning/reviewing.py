@@ -23,7 +23,7 @@ from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.reviews.applying import Applied, seen_in
-from dynaviz.reviews.decisions import VERDICTS, Decision, Decisions, Undo, Verdict
+from dynaviz.reviews.decisions import VERDICTS, Decisions, ReviewDecision, Undo, Verdict
 from dynaviz.reviews.regions import Region, Span
 from dynaviz.runs.reviewed import decisions_of
 from dynaviz.runs.run import open_run
@@ -78,12 +78,12 @@ class Review:
         return self._decisions.path
 
     @property
-    def history(self) -> tuple[Decision | Undo, ...]:
+    def history(self) -> tuple[ReviewDecision | Undo, ...]:
         """All entries, in the order in which they were made."""
         return Decisions(self.file).entries
 
     @property
-    def decisions(self) -> tuple[Decision, ...]:
+    def decisions(self) -> tuple[ReviewDecision, ...]:
         """The decisions that hold, in order."""
         return Decisions(self.file).standing
 
@@ -109,7 +109,7 @@ class Review:
         what: str = "",
         reason: str = "",
         reviewer: str = "",
-    ) -> Decision:
+    ) -> ReviewDecision:
         """Decide what a part of the world is, and add it to the file.
 
         Args:
@@ -126,13 +126,13 @@ class Review:
         if verdict not in VERDICTS:
             raise UsageError(f"verdict {verdict}: choose from {', '.join(VERDICTS)}")
         result = self._run.result
-        made = Decision(
+        made = ReviewDecision(
             verdict, about, span, what=what, reason=reason, reviewer=reviewer,
             by=f"{result.method} on {result.sequence.name}", seen=seen_in(self._sequence, 0),
         )  # fmt: skip
         return self._decisions.add(made)
 
-    def undo(self, id_: str | None = None, *, reviewer: str = "") -> Decision:
+    def undo(self, id_: str | None = None, *, reviewer: str = "") -> ReviewDecision:
         """Take the last decision back, or one by its id.
 
         Raises:

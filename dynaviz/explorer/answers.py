@@ -25,7 +25,7 @@ from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.reruns import Rerun
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.reviews.decisions import CORRECTED, LABELS, Decision, case_key
+from dynaviz.reviews.decisions import CORRECTED, LABELS, ReviewDecision, case_key
 from dynaviz.reviews.regions import ObjectRegion, Piece
 from dynaviz.runs.reviewed import decisions_of, reviewed_scores
 from dynaviz.runs.stored_evidence import Stored
@@ -278,7 +278,7 @@ class Explored:
 
     def _correction(
         self, run: ExploredRun, card: cards.Card, truth: Literal["static", "dynamic"], key: str
-    ) -> Decision:
+    ) -> ReviewDecision:
         """A decision on the boxes of a case.
 
         The recording lacks the offset of the world, so its coordinates do, too.
@@ -289,7 +289,7 @@ class Explored:
         pieces.sort(key=lambda piece: piece.time)
         region = ObjectRegion("frame", tuple(pieces), margin=CORRECTED)
         by = f"{run.result.method} on {run.result.sequence.name}"
-        return Decision(
+        return ReviewDecision(
             truth, region, what=card.title, by=by, key=key, local=True,
             answered="kept" if card.outcome == Outcome.FALSE_NEGATIVE else "removed",
         )  # fmt: skip

@@ -15,7 +15,7 @@ from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.scan import Sequence as ScanSequence
 from dynaviz.errors import DataError
-from dynaviz.reviews.decisions import LABELS, VERDICTS, Decision, Decisions, Seen
+from dynaviz.reviews.decisions import LABELS, VERDICTS, Decisions, ReviewDecision, Seen
 from dynaviz.reviews.regions import ObjectRegion, clock_of, time_of
 
 NONE = 255
@@ -38,7 +38,7 @@ class Effect:
         kept, removed: of them, those whose answer it changed.
     """
 
-    decision: Decision
+    decision: ReviewDecision
     points: int = 0
     kept: int = 0
     removed: int = 0
@@ -58,7 +58,7 @@ class ByHand:
     removed: int = 0
 
     @property
-    def unmatched(self) -> list[Decision]:
+    def unmatched(self) -> list[ReviewDecision]:
         """Decisions that no point was in the region of."""
         return [each.decision for each in self.effects if not each.points]
 
@@ -88,7 +88,7 @@ class Applied:
 
     def __init__(
         self,
-        decisions: Iterable[Decision],
+        decisions: Iterable[ReviewDecision],
         origin: F64 | None = None,
         makes_truth: bool = False,
     ) -> None:
@@ -225,7 +225,7 @@ class _Chooser:
 
 
 def times_elsewhere(
-    sequence: ScanSequence, decisions: Sequence[Decision], path: str | os.PathLike[str]
+    sequence: ScanSequence, decisions: Sequence[ReviewDecision], path: str | os.PathLike[str]
 ) -> frozenset[int]:
     """Which decisions are about times of another drive than a sequence, by position in the list.
 
@@ -272,13 +272,13 @@ def seen_in(sequence: ScanSequence, position: int) -> Seen:
     return Seen(clock, time, tuple(place.tolist()), sequence.name)
 
 
-def _same_drive(decision: Decision, sequence: ScanSequence) -> bool:
+def _same_drive(decision: ReviewDecision, sequence: ScanSequence) -> bool:
     """Whether times of a decision are certainly those of a sequence, if it has them."""
     seen = decision.seen
     return seen is not None and (seen.dated or seen.sequence in ("", sequence.name))
 
 
-def _scan_at(sequence: ScanSequence, decision: Decision) -> Scan | None:
+def _scan_at(sequence: ScanSequence, decision: ReviewDecision) -> Scan | None:
     """The scan from which a decision's part was seen; None if there is none of that time.
 
     Scans are taken to be in the order of time.

@@ -69,7 +69,7 @@ class Seen(Struct, frozen=True):
         return self.clock == "stamp" and self.time > DATED
 
 
-class Decision(Struct, frozen=True, tag="decision"):
+class ReviewDecision(Struct, frozen=True, tag="decision"):
     """What a part of the world is.
 
     Attributes:
@@ -138,7 +138,7 @@ class ReviewFile(Struct, frozen=True):
     """
 
     schema: int
-    entries: tuple[Decision | Undo, ...]
+    entries: tuple[ReviewDecision | Undo, ...]
 
 
 class Decisions:
@@ -155,7 +155,7 @@ class Decisions:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         path = Path(path)
         self.path = path / FILE if path.is_dir() else path
-        self.entries: tuple[Decision | Undo, ...] = _read(self.path)
+        self.entries: tuple[ReviewDecision | Undo, ...] = _read(self.path)
 
     @classmethod
     def existing(cls, path: str | os.PathLike[str]) -> Decisions:
@@ -170,11 +170,11 @@ class Decisions:
         return found
 
     @property
-    def standing(self) -> tuple[Decision, ...]:
+    def standing(self) -> tuple[ReviewDecision, ...]:
         """The decisions that were not undone, in order."""
         return standing(self.entries)
 
-    def add(self, decision: Decision) -> Decision:
+    def add(self, decision: ReviewDecision) -> ReviewDecision:
         """Add a decision to the file, which may have been written by others meanwhile.
 
         Returns:
@@ -188,14 +188,16 @@ class Decisions:
             decision, id=decision.id or secrets.token_hex(6), made=decision.made or now()
         )
         try:
-            found = msgspec.convert(msgspec.to_builtins(found, enc_hook=_plain_number), Decision)
+            found = msgspec.convert(
+                msgspec.to_builtins(found, enc_hook=_plain_number), ReviewDecision
+            )
             check_region(found.region)
         except (msgspec.ValidationError, ValueError, TypeError) as error:
             raise UsageError(f"decision: {error}") from None
         self._append(found)
         return found
 
-    def undo(self, id_: str | None = None, reviewer: str = "") -> Decision:
+    def undo(self, id_: str | None = None, reviewer: str = "") -> ReviewDecision:
         """Take a decision back: the last one that holds, or one by its id.
 
         Returns:
@@ -213,7 +215,7 @@ class Decisions:
         self._append(Undo(found[-1].id, now(), reviewer))
         return found[-1]
 
-    def _append(self, entry: Decision | Undo) -> None:
+    def _append(self, entry: ReviewDecision | Undo) -> None:
         end = time.monotonic() + PATIENCE
         while True:
             try:
@@ -245,11 +247,13 @@ def case_key(digest: str, number: int) -> str:
     return f"case {number} on {digest[:12]}"
 
 
-def standing(entries: Iterable[Decision | Undo]) -> tuple[Decision, ...]:
+def standing(entries: Iterable[ReviewDecision | Undo]) -> tuple[ReviewDecision, ...]:
     """The decisions that were not undone, in order."""
     entries = tuple(entries)
     undone = {each.of for each in entries if isinstance(each, Undo)}
-    return tuple(each for each in entries if isinstance(each, Decision) and each.id not in undone)
+    return tuple(
+        each for each in entries if isinstance(each, ReviewDecision) and each.id not in undone
+    )
 
 
 def now() -> str:
@@ -257,12 +261,12 @@ def now() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
 
 
-def _write(path: Path, entries: tuple[Decision | Undo, ...]) -> None:
+def _write(path: Path, entries: tuple[ReviewDecision | Undo, ...]) -> None:
     plain = msgspec.json.encode(ReviewFile(SCHEMA, entries))
     write_atomic(path, msgspec.json.format(plain, indent=1) + b"\n")
 
 
-def _read(path: Path) -> tuple[Decision | Undo, ...]:
+def _read(path: Path) -> tuple[ReviewDecision | Undo, ...]:
     """The entries of a file; those of corrections next to it if it does not exist."""
     earlier = path.with_name(EARLIER)
     if path.name == FILE and not path.is_file():
@@ -280,7 +284,7 @@ def _read(path: Path) -> tuple[Decision | Undo, ...]:
     try:
         found = msgspec.convert(plain, ReviewFile).entries
         for entry in found:
-            if isinstance(entry, Decision):
+            if isinstance(entry, ReviewDecision):
                 check_region(entry.region)
     except (msgspec.ValidationError, ValueError) as error:
         raise DataError(path, f"is not a file of decisions: {error}", hint=_HINT) from None
@@ -306,7 +310,7 @@ class _Corrections(Struct, frozen=True):
     schema: int = 1
 
 
-def _corrections(path: Path) -> tuple[Decision, ...]:
+def _corrections(path: Path) -> tuple[ReviewDecision, ...]:
     """The corrections of ground truth of an earlier version, as decisions.
 
     Their frames are positions in the run in whose folder they are.
@@ -335,7 +339,7 @@ def _corrections(path: Path) -> tuple[Decision, ...]:
         if pieces:
             region = ObjectRegion("frame", pieces, margin=CORRECTED)
             decisions.append(
-                Decision(
+                ReviewDecision(
                     each.truth, region, id=f"case-{each.case}", what=each.what, local=True,
                     key=case_key(found.sequence, each.case),
                     reason="correction of the ground truth",

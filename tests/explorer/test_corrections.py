@@ -13,7 +13,7 @@ import pytest
 
 import dynaviz as dv
 from dynaviz.errors import DataError, UsageError
-from dynaviz.reviews.decisions import Decision, Decisions
+from dynaviz.reviews.decisions import Decisions, ReviewDecision
 from dynaviz.reviews.regions import ObjectRegion, Piece
 from dynaviz.runs.reviewed import reviewed_scores
 from dynaviz.scores.result import Result
@@ -66,7 +66,7 @@ def test_the_points_in_a_box_are_scored_with_the_other_truth(
     else:
         piece = Piece(scans[frame].index, tuple(low), tuple(high))
         region = ObjectRegion("frame", (piece,), margin=margin)
-        Decisions(run).add(Decision(truth, region))  # type: ignore[arg-type]
+        Decisions(run).add(ReviewDecision(truth, region))  # type: ignore[arg-type]
     inside = (
         (scans[frame].points >= np.array(low) - margin)
         & (scans[frame].points <= np.array(high) + margin)
@@ -160,7 +160,7 @@ def test_another_method_is_scored_against_the_same_truth(
     """A file that a person made for one run changes the truth of every run on the sequence."""
     scans = dv.open(runs["fine"].parent / "room")
     piece = Piece(scans[1].index, (-2.0, -2.0, -2.0), (2.0, 2.0, 2.0))
-    Decisions(run).add(Decision("dynamic", ObjectRegion("frame", (piece,))))
+    Decisions(run).add(ReviewDecision("dynamic", ObjectRegion("frame", (piece,))))
     review = run / "review.json"
     coarse = reviewed_scores(runs["coarse"], review=review)
     assert coarse.points == reviewed_scores(run).points > 0

@@ -21,7 +21,7 @@ from helpers.worlds import room
 from dynaviz.contracts.scan import Label, Scan, SequenceSlice
 from dynaviz.errors import DataError, UsageError
 from dynaviz.reviews.applying import NONE, Applied, seen_in
-from dynaviz.reviews.decisions import Decision, Decisions, Undo
+from dynaviz.reviews.decisions import Decisions, ReviewDecision, Undo
 from dynaviz.reviews.regions import (
     BoxRegion,
     ObjectRegion,
@@ -43,7 +43,9 @@ def scan_of(points: Any, index: int = 0, stamp_ns: int | None = None, **more: An
 
 def verdicts(region: Any, points: Any, verdict: Any = "static", **more: Any) -> list[int]:
     of = {name: more.pop(name) for name in ("index", "stamp_ns") if name in more}
-    return Applied([Decision(verdict, region, **more)]).verdicts(scan_of(points, **of)).tolist()
+    return (
+        Applied([ReviewDecision(verdict, region, **more)]).verdicts(scan_of(points, **of)).tolist()
+    )
 
 
 def random_points(seed: int, n: int = 4000) -> np.ndarray:
@@ -53,8 +55,8 @@ def random_points(seed: int, n: int = 4000) -> np.ndarray:
 def test_entries_are_added_and_undone(tmp_path: Path) -> None:
     decisions = Decisions(tmp_path)
     assert decisions.path == tmp_path / "review.json"
-    first = decisions.add(Decision("static", BOX, what="a pole", reason="seen", reviewer="R"))
-    second = decisions.add(Decision("dynamic", BOX))
+    first = decisions.add(ReviewDecision("static", BOX, what="a pole", reason="seen", reviewer="R"))
+    second = decisions.add(ReviewDecision("dynamic", BOX))
     assert first.id != second.id
     assert first.made < second.made or first.made == second.made
     assert decisions.undo() == second
@@ -62,7 +64,7 @@ def test_entries_are_added_and_undone(tmp_path: Path) -> None:
     assert decisions.undo(first.id) == first
     assert Decisions(tmp_path).standing == ()
     entries = Decisions(tmp_path).entries
-    assert [type(each) for each in entries] == [Decision, Decision, Undo, Undo]
+    assert [type(each) for each in entries] == [ReviewDecision, ReviewDecision, Undo, Undo]
     with pytest.raises(UsageError, match="contains no decision to undo"):
         decisions.undo()
 
@@ -83,16 +85,16 @@ def test_two_writers_lose_nothing(tmp_path: Path) -> None:
 def add_some(folder: Path, name: str) -> None:
     decisions = Decisions(folder)
     for k in range(15):
-        decisions.add(Decision("static", BOX, what=f"{name}{k}"))
+        decisions.add(ReviewDecision("static", BOX, what=f"{name}{k}"))
 
 
 def test_a_killed_writer_leaves_whole_files_and_no_lock_that_lasts(tmp_path: Path) -> None:
     code = (
         "import sys; sys.path.insert(0, sys.argv[2])\n"
         "from pathlib import Path\n"
-        "from test_decisions import BOX, Decision, Decisions\n"
+        "from test_decisions import BOX, ReviewDecision, Decisions\n"
         "decisions = Decisions(Path(sys.argv[1])); print('ready', flush=True)\n"
-        "while True: decisions.add(Decision('static', BOX))\n"
+        "while True: decisions.add(ReviewDecision('static', BOX))\n"
     )
     for _ in range(3):
         command = [sys.executable, "-c", code, str(tmp_path), str(Path(__file__).parent)]
@@ -104,7 +106,7 @@ def test_a_killed_writer_leaves_whole_files_and_no_lock_that_lasts(tmp_path: Pat
                 time.sleep(0.01)
             os.kill(process.pid, signal.SIGKILL)
         killed = len(Decisions(tmp_path).entries)
-        Decisions(tmp_path).add(Decision("dynamic", BOX))
+        Decisions(tmp_path).add(ReviewDecision("dynamic", BOX))
         assert len(Decisions(tmp_path).entries) in (killed + 1, killed + 2)
 
 
@@ -135,14 +137,14 @@ def test_other_files_are_refused_and_stay_as_they_are(
     decisions = Decisions(tmp_path)
     file.write_text(content)
     with pytest.raises(DataError, match=message):
-        decisions.add(Decision("static", BOX))
+        decisions.add(ReviewDecision("static", BOX))
     assert file.read_text() == content
 
 
 def test_any_change_of_a_byte_is_read_or_refused(tmp_path: Path) -> None:
     decisions = Decisions(tmp_path)
     piece = piece_of(3, random_points(0, 50).astype(np.float64))
-    decisions.add(Decision("static", ObjectRegion("frame", (piece,)), what="an object"))
+    decisions.add(ReviewDecision("static", ObjectRegion("frame", (piece,)), what="an object"))
     whole = decisions.path.read_bytes()
     random = np.random.default_rng(1)
     for _ in range(200):
@@ -180,7 +182,7 @@ def test_an_object_contains_its_own_points_and_no_cell_beside(offset: float) -> 
     origin = np.array([offset, 10 * offset, 0.0])
     world = points.astype(np.float64) + origin
     region = ObjectRegion("frame", (piece_of(5, world[chosen]),))
-    applied = Applied([Decision("static", region)], origin)
+    applied = Applied([ReviewDecision("static", region)], origin)
     found = applied.verdicts(scan_of(points, index=5)) == 0
     low = world[chosen].min(0)
     cells = np.floor((world - low) / region.edge).astype(int)
@@ -213,7 +215,11 @@ def test_the_last_decision_on_a_point_holds_and_each_effect_is_counted() -> None
     small = BoxRegion((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
     far = BoxRegion((90.0, 90.0, 90.0), (91.0, 91.0, 91.0))
     applied = Applied(
-        [Decision("dynamic", BOX), Decision("static", small), Decision("static", far)]
+        [
+            ReviewDecision("dynamic", BOX),
+            ReviewDecision("static", small),
+            ReviewDecision("static", far),
+        ]
     )
     dynamic = np.random.default_rng(8).random(len(points)) < 0.5
     answers, found = applied.answers(scan_of(points), dynamic)
@@ -239,7 +245,7 @@ def test_many_decisions_give_the_same_as_one_by_one() -> None:
         low = random.uniform(-5, 4, 3)
         high = low + random.uniform(0, 2, 3)
         box = BoxRegion(tuple(low.tolist()), tuple(high.tolist()))
-        made.append(Decision(str(random.choice(["static", "dynamic"])), box))  # type: ignore[arg-type]
+        made.append(ReviewDecision(str(random.choice(["static", "dynamic"])), box))  # type: ignore[arg-type]
     scan = scan_of(points)
     expected = np.full(len(points), NONE)
     for each in made:
@@ -251,15 +257,15 @@ def test_many_decisions_give_the_same_as_one_by_one() -> None:
 def test_truth_follows_decisions_and_unlabelled_points_stay_so() -> None:
     labels = np.array([0, 1, 255, 0], np.uint8)
     scan = scan_of(np.zeros((4, 3)), labels=labels)
-    found = Applied([Decision("dynamic", BOX)]).truth(scan).labels
+    found = Applied([ReviewDecision("dynamic", BOX)]).truth(scan).labels
     assert found is not None
     assert found.tolist() == [1, 1, 255, 1]
-    undecided = Applied([Decision("undecided", BOX)]).truth(scan).labels
+    undecided = Applied([ReviewDecision("undecided", BOX)]).truth(scan).labels
     assert undecided is not None
     assert undecided.tolist() == [255] * 4
     without = scan_of([[0, 0, 0], [9, 9, 9]])
-    assert Applied([Decision("static", BOX)]).truth(without).labels is None
-    made = Applied([Decision("static", BOX)], makes_truth=True).truth(without).labels
+    assert Applied([ReviewDecision("static", BOX)]).truth(without).labels is None
+    made = Applied([ReviewDecision("static", BOX)], makes_truth=True).truth(without).labels
     assert made is not None
     assert made.tolist() == [Label.STATIC, Label.UNLABELLED]
 
@@ -269,7 +275,7 @@ def test_decisions_of_another_world_or_another_drive(tmp_path: Path) -> None:
     decisions = Decisions(tmp_path)
     piece = Piece(here[2].index, (-50.0, -50.0, -50.0), (50.0, 50.0, 50.0))
     seen = seen_in(here, 2)
-    decisions.add(Decision("static", ObjectRegion("frame", (piece,)), seen=seen))
+    decisions.add(ReviewDecision("static", ObjectRegion("frame", (piece,)), seen=seen))
     assert (Applied.to(here, decisions).verdicts(here[2]) == 0).all()
     later = SequenceSlice(here, range(2, 5), here.sensor, here.name)
     assert (Applied.to(later, decisions).verdicts(later[0]) == 0).all()
@@ -306,7 +312,7 @@ class Away:
 
 
 def test_the_file_is_plain(tmp_path: Path) -> None:
-    Decisions(tmp_path).add(Decision("static", BOX, reason="it is a pole"))
+    Decisions(tmp_path).add(ReviewDecision("static", BOX, reason="it is a pole"))
     plain = json.loads((tmp_path / "review.json").read_text())
     assert plain["schema"] == 1
     entry = plain["entries"][0]
@@ -325,5 +331,5 @@ def test_world_coordinates_survive_a_far_origin() -> None:
     points = random_points(11, 500)
     sequence = ArraySequence.of([(points, pose)])
     region = BoxRegion(tuple((far - 1).tolist()), tuple((far + 1).tolist()))
-    applied = Applied([Decision("static", region)], sequence.origin)
+    applied = Applied([ReviewDecision("static", region)], sequence.origin)
     assert ((applied.verdicts(sequence[0]) == 0) == (np.abs(points) <= 1).all(1)).mean() > 0.999

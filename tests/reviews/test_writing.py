@@ -148,7 +148,7 @@ def test_marks_tell_what_was_changed_by_hand(run: Path, tmp_path: Path) -> None:
     found = read_fields(tmp_path / "undone.npz")
     assert (found["dynamic"].astype(bool) == removed).all()
     assert not found["by_hand"].any()
-    assert [type(each).__name__ for each in review.history] == ["Decision", "Undo"]
+    assert [type(each).__name__ for each in review.history] == ["ReviewDecision", "Undo"]
 
 
 def test_the_same_file_gives_the_same_map_in_a_run_of_the_method(
