@@ -151,7 +151,14 @@ def test_the_summary_states_what_was_removed(tmp_path: Path) -> None:
     ):
         assert part in page
     names = {path.name for path in (tmp_path / "map_run").iterdir()}
-    assert names == {"summary.md", "labels.npz", "result.json", "config.toml", "trajectory.csv"}
+    assert names == {
+        "summary.md",
+        "labels.npz",
+        "result.json",
+        "config.toml",
+        "trajectory.csv",
+        "map.json",
+    }
     assert (
         dv.Result.load(tmp_path / "map_run/result.json").labels[2].tolist()
         == cleaned.result.labels[2].tolist()

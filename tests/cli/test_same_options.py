@@ -47,6 +47,7 @@ RUN = {
     "workers": 2,
     "scheduler": "s:1",
     "maps": False,
+    "review": Path("r.json"),
 }
 OPENS = {
     "run": ["octomap", "SEQ"],
