@@ -296,7 +296,7 @@ def test_a_correction_changes_the_scores(page: Page, cases: Any) -> None:
     page.tab.click(f"#card-a-{number}")
     page.tab.click(".correction button >> text='It is static'")
     page.wait(
-        "/^AA .* -> .* with 1 correction/.test(document.getElementById('corrected').textContent)"
+        "/^AA .* -> .* with 1 decision/.test(document.getElementById('corrected').textContent)"
     )
     page.tab.click(".correction button >> text='Undo'")
     page.wait("document.getElementById('corrected').textContent === ''")
