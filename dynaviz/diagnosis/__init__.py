@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.contracts.attributes import is_exact
+from dynaviz.contracts.attributes import is_exact, knowing
 from dynaviz.contracts.scan import Scan, Sequence
-from dynaviz.diagnosis import placement, trajectory, upright
+from dynaviz.diagnosis import placement, rivals, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
 from dynaviz.diagnosis.drift import AWAY, DRIFT, check_drift, looks
@@ -26,11 +26,13 @@ from dynaviz.errors import DataError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.in_memory import ArraySequence
+from dynaviz.sources.hypotheses.delays import HasPosePath
 from dynaviz.sources.hypotheses.views import ScanView, comparable
 from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
+from dynaviz.spatial.trajectory import PosesOverTime
 
-__all__ = ["DRIFT", "Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
+__all__ = ["OF_POSES", "Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
 
 # frames read of a long sequence, and consecutive frames in each stretch
 MAX_FRAMES = 400
@@ -38,6 +40,9 @@ STRETCH = 20
 # scans whose places are looked for in later ones, to find drift
 PLACES = 12
 QUICK_PLACES = 5
+SPARSE = 0.55  # overlap of neighbouring scans below which they are registered to each other
+OF_POSES = (DRIFT, rivals.DELAY)  # findings that poses with ground truth may have
+UPS = ("world not z-up", "tilted")  # findings that a mount may explain better
 KEEPS_RANGES = ("ground height",)  # findings on poses that do not affect distances from the sensor
 
 
@@ -104,7 +109,7 @@ def doctor(
         ends = {(checker.positions[a], checker.positions[b]) for a, b in places} | set(
             _quick_places(groups)
         )
-        drift = list(check_drift(_seen(groups, sorted(ends), progress)))
+        drift = _drift(groups, sorted(ends), progress)
         findings += drift
         alignment_findings += drift
     diagnosis = Diagnosis.of(
@@ -140,7 +145,7 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
         if not found and any(_check_alignment(groups, silent, quick=True)):
             found = list(_check_alignment(groups, silent))
         if not any(each.name not in KEEPS_RANGES for each in found):
-            found += check_drift(_seen(groups, _quick_places(groups), silent))
+            found += _drift(groups, _quick_places(groups), silent)
     except DataError:
         return ()
     likely = (each for each in found if each.confidence <= Confidence.LIKELY)
@@ -175,6 +180,35 @@ def _seen(groups: FrameGroups, places: list[tuple[int, int]], progress: Progress
             views.append((seen[0], seen[1]))
         progress("comparing", done, len(places))
     return views
+
+
+def _drift(groups: FrameGroups, places: list[tuple[int, int]], progress: Progress) -> list[Finding]:
+    """Poses that drift, or what else explains that places are not where they were."""
+    views = _seen(groups, places, progress)
+    found = list(check_drift(views))
+    if not found:
+        return found
+    pairs = groups.views(groups.pairs(), progress)
+    near = lambda: groups.views(groups.pairs_apart(2), progress)  # noqa: E731
+    path = _path(groups)
+    explained = (
+        (path and rivals.delay_finding(views, pairs, path))
+        or rivals.mount_finding(views, near, drifts=True)
+        or _out_of_order(groups)
+        or rivals.misplaced(pairs, near, path)
+    )
+    return [explained] if explained else found
+
+
+def _path(groups: FrameGroups) -> PosesOverTime | None:
+    """The poses over time; None if they have no times."""
+    known = knowing(groups.few.whole, HasPosePath)  # type: ignore[type-abstract]  # a protocol
+    return None if known is None else known.pose_path
+
+
+def _out_of_order(groups: FrameGroups) -> Finding | None:
+    way = rivals.unsteady_way(groups.checker.positions, groups.checker.poses)
+    return rivals.cannot_tell(way) if way else None
 
 
 def _positions_to_read(frames: int) -> list[int]:
@@ -262,11 +296,15 @@ def _check_alignment(
     pairs = groups.pairs()
     views = groups.views(pairs[::2] if quick and len(pairs) == GROUPS else pairs, progress)
     others = lambda: groups.views(groups.pairs(skipped=1), progress)  # noqa: E731
-    if explained := [
-        *(better_interpretation(views, others) if views else ()),
-        *upright.check_up(views, checker.poses),
-    ]:
-        yield explained[0]
+    near = lambda: groups.views(groups.pairs_apart(2), progress)  # noqa: E731
+    if explained := better_interpretation(views, others):
+        yield rivals.weighed(*explained, views, near, _path(groups))
+    elif up := next(upright.check_up(views, checker.poses), None):
+        yield rivals.weighed(None, up, views, near, None) if up.name in UPS else up
+    elif beside := rivals.upside_down(views, near):
+        yield beside
+    elif not same and (wrong := rivals.misplaced(views, near, _path(groups), SPARSE)):
+        yield wrong
     elif (
         views
         and (same or not quick)

@@ -15,7 +15,7 @@ of poses do, and it must be better on pairs from which it was not chosen as well
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,23 +202,28 @@ def _key(number: int, array: F64) -> bytes:
     return bytes([number]) + np.round(array, 6).tobytes()
 
 
-def better_interpretation(views: Pairs, others: Callable[[], Pairs]) -> Iterator[Finding]:
-    """A finding if an interpretation fits clouds and poses better than the given one.
+def better_interpretation(
+    views: Pairs, others: Callable[[], Pairs]
+) -> tuple[Interpretation, Finding] | None:
+    """An interpretation that fits clouds and poses better than the given one, and its finding.
 
     Args:
         views: pairs of scans among which the interpretation is chosen.
         others: reads further pairs, on which it is verified.
     """
+    if not views:
+        return None
     found = Interpretations(views)
     finding = _by_overlap(found) or _by_hidden_points(found) or _by_motion(found)
     if finding is None:
-        return
-    chosen, result = finding
+        return None
+    chosen, _ = finding
     again = Interpretations(others())
     if not again.views or any(
         holds(again, chosen) for holds in (_gains, _hides_less_everywhere, _accompanies)
     ):
-        yield result
+        return finding
+    return None
 
 
 def _by_overlap(found: Interpretations) -> tuple[Interpretation, Finding] | None:

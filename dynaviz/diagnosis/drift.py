@@ -18,7 +18,7 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.diagnosis.alignment import GAIN
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding
-from dynaviz.diagnosis.placement import register
+from dynaviz.sources.hypotheses.registration import register
 from dynaviz.sources.hypotheses.views import ON_SURFACE, ScanView, angle
 from dynaviz.spatial import geometry
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -27,6 +28,7 @@ _OPTIONS = {
     "points in world frame": "--points-in world",
     "poses missing": "--poses small-gicp",
     "poses drift": "--poses small-gicp",
+    "poses do not fit": "--poses small-gicp",
 }
 
 
@@ -66,7 +68,8 @@ class Finding:
 
         Empty if the data must be written again.
         """
-        return _OPTIONS.get(self.name, "")
+        given = re.search(r"--extrinsic [-\d.,]+$", self.fix)
+        return given[0] if given else _OPTIONS.get(self.name, "")
 
     @property
     def where(self) -> str:

@@ -92,10 +92,18 @@ def _order(
 
 W_LAST = _order((3, 0, 1, 2), "quaternions were written as x y z w, but read as w x y z")
 W_FIRST = _order((1, 2, 3, 0), "quaternions were written as w x y z, but read as x y z w")
+_NED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+NED = PoseFault(
+    "poses in NED",
+    "poses are in a world north-east-down, of a sensor with axes forward-right-down",
+    "Convert each pose on both sides: M @ T @ diag(1, -1, -1, 1), with M = [[0, 1, 0, 0], [1, 0, "
+    "0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]",
+    lambda T: _NED @ T @ np.diag([1.0, -1.0, -1.0, 1.0]),
+)
 _OTHERS = map(
     _order, sorted({*permutations(range(4))} - {(0, 1, 2, 3), (3, 0, 1, 2), (1, 2, 3, 0)})
 )
-FAULTS = (INVERTED, CAMERA, CAMERA_AXES, W_LAST, W_FIRST, *_OTHERS)
+FAULTS = (INVERTED, CAMERA, CAMERA_AXES, W_LAST, W_FIRST, NED, *_OTHERS)
 
 
 def jumps(

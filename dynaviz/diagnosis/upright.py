@@ -9,11 +9,22 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F32, F64
+from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.alignment import Pairs
 from dynaviz.diagnosis.finding import Confidence, Finding, settable
-from dynaviz.diagnosis.trajectory import CAMERA, FAULTS, MAX_TILT, W_LAST, backwards, tilt_of
+from dynaviz.diagnosis.trajectory import (
+    CAMERA,
+    FAULTS,
+    MAX_TILT,
+    W_FIRST,
+    W_LAST,
+    PoseFault,
+    backwards,
+    tilt_of,
+)
 from dynaviz.sources.hypotheses.views import ScanView, ground_below, to_z
+from dynaviz.spatial import geometry
 from dynaviz.spatial.sensor_height import FLAT
 
 UPRIGHT = 20.0  # degrees of tilt that are left after a correction, at most
@@ -28,6 +39,9 @@ def check_up(views: Pairs, poses: Sequence[F64]) -> Iterator[Finding]:
     T = np.array(poses)
     tilt = tilt_of(T)
     scans = [b for _, b in views]
+    if fault := _turned_over(views, T, tilt):
+        yield fault
+        return
     if found := _other_up(scans, tilt):
         yield found
         return
@@ -44,6 +58,39 @@ def check_up(views: Pairs, poses: Sequence[F64]) -> Iterator[Finding]:
         return
     if turned := backwards(T):
         yield Finding(W_LAST.name, Confidence.LIKELY, f"{W_LAST.problem}: {turned}", W_LAST.fix)
+
+
+def _turned_over(views: Pairs, T: F64, tilt: float) -> Finding | None:
+    """A finding on quaternions whose order turns a world upside down.
+
+    The sensor lies on its back and rolls as it turns. In the other order it stands upright in all
+    poses, with the ground below.
+    """
+    if tilt < 90 + MAX_TILT or not views:
+        return None
+    rest = 180 - tilt_of(T, 10)
+    for fault in (W_FIRST, W_LAST):
+        corrected = np.array([fault.correct(pose) for pose in T])
+        left = tilt_of(corrected, 90)
+        if left > UPRIGHT or left > rest - 1.0:
+            continue
+        scans = [
+            ScanView(Scan(b.index, _moved(b, fault), fault.correct(b.T), b.stamp)) for _, b in views
+        ]
+        below = np.mean([ground_below(s, np.array([0.0, 0.0, 1.0]))[1] >= FLAT for s in scans])
+        if below >= 0.5:
+            evidence = (
+                f"the sensor is upside down, tilted by {tilt:.0f} degrees, after correction by "
+                f"{left:.0f}, with the ground below"
+            )
+            return Finding(fault.name, Confidence.LIKELY, f"{fault.problem}: {evidence}", fault.fix)
+    return None
+
+
+def _moved(view: ScanView, fault: PoseFault) -> F32:
+    """(N, 3) metres: points that the wrong pose placed, placed by the right one."""
+    move = geometry.compose(fault.correct(view.T), geometry.inverse(view.T))
+    return geometry.apply(move, view.sample).astype(np.float32)
 
 
 def _other_up(scans: Sequence[ScanView], tilt: float) -> Finding | None:

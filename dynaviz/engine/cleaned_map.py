@@ -425,5 +425,5 @@ def _writer(
     if file.tile_size is not None:
         return map_tiles(file.path, fields, origin, file.tile_size, file.suffix, head, double)
     if file.tiled:
-        return divided_map(file.path, fields, origin, double=double)
+        return divided_map(file.path, fields, origin)
     return open_map(file.path, fields, origin, head, double)

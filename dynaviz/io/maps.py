@@ -232,26 +232,29 @@ def spooled_tiles(
 DIVIDED_METADATA = "pointcloud_map_metadata.yaml"
 DIVIDED_TILES = "pointcloud_map.pcd"
 """The metadata and the folder of tiles of Autoware's divided maps."""
+PROJECTOR = "map_projector_info.yaml"
+"""What the coordinates of Autoware's maps mean."""
 
 
 @contextlib.contextmanager
-def divided_map(
-    folder: Path, fields: Dtypes, origin: F64, size: float = 20.0, double: bool = False
-) -> Iterator[Append]:
-    """Write a folder with a PCD file per square tile, and ``pointcloud_map_metadata.yaml``, as
-    Autoware reads it.
+def divided_map(folder: Path, fields: Dtypes, origin: F64, size: float = 20.0) -> Iterator[Append]:
+    """Write a folder with a PCD file per square tile, ``pointcloud_map_metadata.yaml``, and
+    ``map_projector_info.yaml``, as Autoware reads it.
+
+    Coordinates are float32, because PCL reads nothing else, and local: the origin is subtracted,
+    and stated in the file of the projector.
 
     Args:
         folder: the folder; tiles of an earlier map in it are removed.
-        fields, origin, double: as for ``open_map``.
+        fields, origin: as for ``open_map``.
         size: edge of a tile, metres.
     """
-    row = row_dtype(fields, origin, double)
+    row = row_dtype(fields, np.zeros(3))
     tiles = folder / DIVIDED_TILES
     with spooled_tiles(folder, row, size) as (append, spools):
-        yield append
+        yield lambda xyz, attributes: append(xyz - origin, attributes)
         tiles.mkdir(exist_ok=True)
-        for old in (folder / DIVIDED_METADATA, *tiles.glob("tile_*.pcd")):
+        for old in (folder / DIVIDED_METADATA, folder / PROJECTOR, *tiles.glob("tile_*.pcd")):
             old.unlink(missing_ok=True)
         lines = [f"x_resolution: {size}", f"y_resolution: {size}"]
         for (x, y), spool in sorted(spools.items()):
@@ -261,6 +264,16 @@ def divided_map(
                 writer.append(**{n: rows[n] for n in row.names or ()})
             lines.append(f"{name}: [{x * size}, {y * size}]")
         write_atomic(folder / DIVIDED_METADATA, "\n".join([*lines, ""]).encode())
+        write_atomic(folder / PROJECTOR, _projector(origin).encode())
+
+
+def _projector(origin: F64) -> str:
+    """The file of a map in local coordinates, with what was subtracted from those of the source."""
+    offset = ", ".join(f"{value:.3f}" for value in origin)
+    lines = ["projector_type: Local"]
+    if origin.any():
+        lines = [f"# coordinates of the source = coordinates of this map + [{offset}]", *lines]
+    return "\n".join([*lines, ""])
 
 
 _WRITERS: dict[str, Callable[..., Writing]] = {

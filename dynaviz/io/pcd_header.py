@@ -161,12 +161,12 @@ def _validated(
     sizes = values("SIZE", int, n, "4")
     counts = values("COUNT", _count, n, "1")
     for name, kind, size, count in zip(names, kinds, sizes, counts, strict=True):
-        if size not in _SIZES[kind] or count < 1:
+        if size not in _SIZES[kind]:
             raise invalid(
-                "SIZE",
-                f"field '{name[:40]}' has an invalid TYPE {kind.upper()}, SIZE {size} or COUNT "
-                f"{count}",
+                "SIZE", f"field '{name[:40]}' has an invalid TYPE {kind.upper()} or SIZE {size}"
             )
+        if count < 1 and name != "_":  # padding may be empty
+            raise invalid("COUNT", f"field '{name[:40]}' has the invalid COUNT {count}")
     if not 0 < sum(size * count for size, count in zip(sizes, counts, strict=True)) <= _MAX_POINT:
         raise invalid("FIELDS", "the header has no FIELDS, or points larger than 1 MiB")
     height = values("HEIGHT", _count, 1, "1")[0]

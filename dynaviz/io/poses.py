@@ -79,6 +79,10 @@ _RANKS = (
     ),
     ("odom_poses.txt", "odometry_poses.txt", "odom.txt", "odometry.txt", "*.g2o"),
 )  # of names of pose files, the better ones first
+W_LAST = "qx qy qz qw"
+W_FIRST = "qw qx qy qz"
+UPRIGHT = 0.5  # cosine between axes of the sensor and up, and the way ahead, at least
+MOST = 0.9  # share of the poses
 _TEXTS = (".txt", ".csv", ".json", ".tum", ".g2o", ".dat", ".log", ".traj")
 _LARGEST_FILE = 100_000_000  # bytes
 _LIMIT = 1 << 63  # nanoseconds since 1970, in the year 2262
@@ -169,14 +173,19 @@ def _numbers_only(path: Path, rows: Rows, w_first: bool) -> PoseFile:
     columns = len(rows[0][1])
     if columns == 8:
         order = _order(range(1, 8), w_first)
-        return PoseFile(path, "TUM", _quaternions(path, rows, order), _stamps(path, rows, 0))
+        poses = _quaternions(path, rows, order)
+        readings = {}
+        if not w_first and _may_be_w_first(poses):
+            first = _quaternions(path, rows, _order(range(1, 8), True))
+            readings = {W_LAST: poses, W_FIRST: first}
+        return PoseFile(path, "TUM", poses, _stamps(path, rows, 0), readings=readings)
     if columns == 7:
         readings = {
             name: _quaternions(path, rows, _order(range(7), first))
-            for name, first in (("qx qy qz qw", False), ("qw qx qy qz", True))
+            for name, first in ((W_LAST, False), (W_FIRST, True))
         }
         if w_first:
-            readings = {"qw qx qy qz": readings["qw qx qy qz"]}
+            readings = {W_FIRST: readings[W_FIRST]}
         return PoseFile(
             path, "position and quaternion", next(iter(readings.values())), readings=readings
         )
@@ -197,6 +206,24 @@ def _numbers_only(path: Path, rows: Rows, w_first: bool) -> PoseFile:
         at=f"line {rows[0][0]}",
         hint=_FORMATS,
     )
+
+
+def _may_be_w_first(poses: F64) -> bool:
+    """Whether quaternions that were read with w last, as TUM states, may have w first.
+
+    A sensor that is upright and looks where it goes is read rightly: with the other order, it would
+    lie on its back or drive backwards.
+
+    Args:
+        poses: (N, 4, 4), metres, read with w last.
+    """
+    steps = np.diff(poses[:, :3, 3], axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    moving = lengths > max(0.02, 0.1 * float(np.median(lengths))) if len(lengths) else lengths > 0
+    if not moving.any() or (poses[:, 2, 2] > UPRIGHT).mean() < MOST:
+        return True
+    forwards = (steps * poses[:-1, :3, 0]).sum(1)[moving] / lengths[moving]
+    return float(np.median(forwards)) < UPRIGHT
 
 
 def _last_row(rows: Rows) -> bool:

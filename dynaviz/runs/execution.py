@@ -378,10 +378,10 @@ def _pose_findings(sequence: Sequence) -> tuple[PoseFinding, ...]:
     The frames and units of data sets with ground truth are taken to be right; their poses may
     drift.
     """
-    from dynaviz.diagnosis import DRIFT, quick_check
+    from dynaviz.diagnosis import OF_POSES, quick_check
 
     return tuple(
-        each for each in quick_check(sequence) if each.name == DRIFT or not sequence.has_labels
+        each for each in quick_check(sequence) if each.name in OF_POSES or not sequence.has_labels
     )
 
 

@@ -26,6 +26,11 @@ def sensor_height(local: F64) -> tuple[float, float]:
         points below the sensor that show ground; zeros if there are fewer than ``FEWEST`` such
         cells.
     """
+    return ground_plane(local)[:2]
+
+
+def ground_plane(local: F64) -> tuple[float, float, F64]:
+    """Distance and share as ``sensor_height``, and the normal of the ground, (3,), upwards."""
     reach = REACH // 2
     sensor = np.zeros(3)
     below = (
@@ -36,8 +41,9 @@ def sensor_height(local: F64) -> tuple[float, float]:
     points = local[below].astype(np.float32)
     seen = len(np.unique(np.floor(points[:, :2] / EDGE), axis=0))
     if seen < FEWEST:
-        return 0.0, 0.0
+        return 0.0, 0.0, np.array([0.0, 0.0, 1.0])
     _, x, y, z, number = ScanGround.of(points, sensor, reach).cells(sensor)
     start = np.array([np.median(z) if len(z) else 0.0, 0.0, 0.0])
     c, a, b = kernels.scan_ground.plane(x, y, z, weights(x, y, number), start, 1e-6, EXACT, ROUNDS)
-    return float(-c / math.sqrt(1.0 + a * a + b * b)), len(z) / seen
+    length = math.sqrt(1.0 + a * a + b * b)
+    return float(-c / length), len(z) / seen, np.array([-a, -b, 1.0]) / length

@@ -9,7 +9,14 @@ import pytest
 
 from dynaviz.errors import UsageError
 from dynaviz.io.fields import read_fields
-from dynaviz.io.maps import DIVIDED_METADATA, DIVIDED_TILES, check_map_path, divided_map, open_map
+from dynaviz.io.maps import (
+    DIVIDED_METADATA,
+    DIVIDED_TILES,
+    PROJECTOR,
+    check_map_path,
+    divided_map,
+    open_map,
+)
 
 N = 500
 FAR = np.array([500_000.0, 5_400_000.0, 0.0])
@@ -88,7 +95,7 @@ def test_coordinates_near_zero_are_float32(tmp_path: Path) -> None:
 
 def test_tiles_are_named_by_their_corners_in_the_metadata(tmp_path: Path) -> None:
     xyz = np.random.default_rng(2).uniform(-30, 50, (N, 3)) + FAR
-    stale = tmp_path / DIVIDED_TILES / "tile_0_0.pcd"
+    stale = tmp_path / DIVIDED_TILES / "tile_99_99.pcd"
     stale.parent.mkdir()
     stale.touch()
     with divided_map(tmp_path, {"ring": np.dtype("u2")}, FAR) as append:
@@ -104,8 +111,15 @@ def test_tiles_are_named_by_their_corners_in_the_metadata(tmp_path: Path) -> Non
         assert (
             (tile["x"] >= x) & (tile["x"] < x + 20) & (tile["y"] >= y) & (tile["y"] < y + 20)
         ).all()
+        assert {tile[axis].dtype for axis in "xyz"} == {np.dtype(np.float32)}
+        local = np.column_stack([tile[axis] for axis in "xyz"])
+        np.testing.assert_allclose(local, (xyz - FAR)[tile["ring"]], atol=1e-5)
         rings += tile["ring"].tolist()
     assert sorted(rings) == list(range(N))
+    projector = (tmp_path / PROJECTOR).read_text().splitlines()
+    assert projector[-1] == "projector_type: Local"
+    offset = [float(word) for word in projector[0].split("[")[1].rstrip("]").split(",")]
+    np.testing.assert_array_equal(offset, FAR)
     assert not stale.exists()
     assert len(list(stale.parent.iterdir())) == len(lines) - 2
 

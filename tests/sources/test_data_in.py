@@ -11,54 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.bags import START, BagWriter, columns
+from helpers.pose_files import kitti, quaternions, scans_to, tum
 from helpers.street import Sweep, drive
-from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
 from dynaviz.contracts.scan import base_of
 from dynaviz.errors import DataError
-from dynaviz.io.pcd import write_pcd
 from dynaviz.spatial import geometry
 
 UTM = np.array([388_421.0, 5_572_094.0, 120.0])
-HERE = np.eye(4)
 NEAR = 0.05  # metres of error that a right map may have
-
-
-def scans_to(
-    folder: Path, names: Sequence[str], sweeps: Sequence[Sweep], suffix: str = ".pcd"
-) -> Path:
-    """Write the scans under these names."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, sweep in zip(names, sweeps, strict=True):
-        if suffix == ".pcd":
-            x, y, z = sweep.points.T
-            write_pcd(folder / f"{name}.pcd", {"x": x, "y": y, "z": z}, np.eye(4))
-        else:
-            rows = np.column_stack([sweep.points, np.full(len(sweep.points), 0.3, np.float32)])
-            rows.astype("<f4").tofile(folder / f"{name}.bin")
-    return folder
-
-
-def quaternions(sweeps: Sequence[Sweep]) -> np.ndarray:
-    """(N, 7) x y z qx qy qz qw."""
-    return np.array([[*s.T[:3, 3], *Rotation.from_matrix(s.T[:3, :3]).as_quat()] for s in sweeps])
-
-
-def kitti(path: Path, sweeps: Sequence[Sweep], world: np.ndarray = HERE) -> Path:
-    """Poses in another world."""
-    np.savetxt(path, [(world @ s.T)[:3].ravel() for s in sweeps], fmt="%.9f")
-    return path
-
-
-def tum(path: Path, sweeps: Sequence[Sweep], times: Sequence[int]) -> Path:
-    """Poses with times, nanoseconds."""
-    rows = [
-        f"{t // 10**9}.{t % 10**9:09d} " + " ".join(f"{v:.9f}" for v in row)
-        for t, row in zip(times, quaternions(sweeps), strict=True)
-    ]
-    path.write_text("\n".join(rows) + "\n")
-    return path
 
 
 def assert_right(sequence: dv.Sequence, sweeps: Sequence[Sweep]) -> None:
@@ -90,7 +52,7 @@ def test_names_are_times(tmp_path: Path, name) -> None:  # type: ignore[no-untyp
     sweeps = drive()
     times = [START + 11_149_430 + k * 100_000_000 for k in range(len(sweeps))]
     scans_to(tmp_path / "pcd", [name(t) for t in times], sweeps)
-    kitti(tmp_path / "poses.txt", sweeps)
+    kitti(tmp_path / "poses.txt", [s.T for s in sweeps])
     sequence = dv.open(tmp_path)
     assert_right(sequence, sweeps)
     assert "10 Hz" in facts(sequence)["names"]
@@ -101,7 +63,7 @@ def test_a_folder_of_scans_with_a_pose_file_is_not_the_benchmark(tmp_path: Path)
     scans_to(tmp_path / "pcd", [str(k) for k in range(len(sweeps))], sweeps)
     world = np.eye(4)
     world[:3, 3] = UTM
-    kitti(tmp_path / "poses.txt", sweeps, world)
+    kitti(tmp_path / "poses.txt", [world @ s.T for s in sweeps])
     sequence = dv.open(tmp_path)
     assert_right(sequence, sweeps)
     assert facts(sequence)["poses"].startswith("poses.txt (KITTI)")
@@ -114,7 +76,7 @@ def test_poses_without_times_show_the_order_of_their_quaternions(
 ) -> None:
     sweeps = drive()
     scans_to(tmp_path / "pcd", [str(k) for k in range(len(sweeps))], sweeps)
-    rows = quaternions(sweeps)
+    rows = quaternions([s.T for s in sweeps])
     np.savetxt(tmp_path / "pose.json", rows[:, [0, 1, 2, 6, 3, 4, 5]] if w_first else rows)
     sequence = dv.open(tmp_path)
     assert_right(sequence, sweeps)
@@ -125,10 +87,8 @@ def test_poses_without_times_show_the_order_of_their_quaternions(
 def test_poses_after_loop_closure_come_before_those_of_the_odometry(tmp_path: Path) -> None:
     sweeps = drive()
     scans_to(tmp_path / "Scans", [f"{k:06d}" for k in range(len(sweeps))], sweeps)
-    kitti(tmp_path / "optimized_poses.txt", sweeps)
-    wrong = np.eye(4)
-    wrong[:3, :3] *= 1.0
-    kitti(tmp_path / "odom_poses.txt", sweeps[::-1], wrong)
+    kitti(tmp_path / "optimized_poses.txt", [s.T for s in sweeps])
+    kitti(tmp_path / "odom_poses.txt", [s.T for s in sweeps[::-1]])
     np.savetxt(tmp_path / "times.txt", [s.seconds for s in sweeps])
     sequence = dv.open(tmp_path)
     assert_right(sequence, sweeps)
@@ -138,7 +98,7 @@ def test_poses_after_loop_closure_come_before_those_of_the_odometry(tmp_path: Pa
 def test_a_file_that_may_be_poses_is_named_rather_than_ignored(tmp_path: Path) -> None:
     sweeps = drive()
     scans_to(tmp_path / "Scans", [f"{k:06d}" for k in range(len(sweeps))], sweeps)
-    kitti(tmp_path / "result_of_my_slam.txt", sweeps)
+    kitti(tmp_path / "result_of_my_slam.txt", [s.T for s in sweeps])
     with pytest.raises(DataError, match=r"files that may be poses: result_of_my_slam\.txt"):
         dv.open(tmp_path)
 
@@ -163,7 +123,9 @@ def test_kitti_360_names_and_poses(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"3 of 14 scans have no pose"):
         sequence = dv.open(folder, poses=str(tmp_path / "poses13.txt"))
     assert_right(sequence, [s for k, s in enumerate(sweeps) if k % 5])
-    times = tum(tmp_path / "t.tum", sweeps, [START + k * 10**8 for k in range(len(sweeps))])
+    times = tum(
+        tmp_path / "t.tum", [s.T for s in sweeps], [START + k * 10**8 for k in range(len(sweeps))]
+    )
     sequence = dv.open(folder, poses=str(times))
     assert_right(sequence, sweeps)
     assert facts(sequence)["poses"].endswith("by order")
@@ -183,7 +145,7 @@ def test_poses_on_another_clock(tmp_path: Path, shift: int, words: str) -> None:
     sweeps = drive()
     times = [START + k * 100_000_000 for k in range(len(sweeps))]
     scans_to(tmp_path / "scans", [str(t) for t in times], sweeps)
-    tum(tmp_path / "late.tum", sweeps, [t + shift for t in times])
+    tum(tmp_path / "late.tum", [s.T for s in sweeps], [t + shift for t in times])
     sequence = dv.open(tmp_path)
     assert_right(sequence, sweeps)
     assert words in facts(sequence)["poses"]
@@ -209,7 +171,9 @@ def test_clouds_are_deskewed_once(tmp_path: Path, deskewed: bool) -> None:
     sweeps = drive(frames=16, moving=True)
     file = bag(tmp_path / "drive", sweeps, deskewed)
     way = drive(frames=40, rate=20.0, rows=2, columns=4)
-    poses = tum(tmp_path / "way.tum", way, [START + round(s.seconds * 1e9) for s in way])
+    poses = tum(
+        tmp_path / "way.tum", [s.T for s in way], [START + round(s.seconds * 1e9) for s in way]
+    )
     sequence = dv.open(file, poses=str(poses))
     assert_right(sequence, sweeps)
     said = facts(sequence)["deskewed"]
@@ -221,7 +185,9 @@ def test_impossible_times_are_counted_and_replaced(tmp_path: Path) -> None:
     sweeps = drive(frames=16, moving=True)
     file = bag(tmp_path / "drive", sweeps, False, wrong=150)
     way = drive(frames=40, rate=20.0, rows=2, columns=4)
-    poses = tum(tmp_path / "way.tum", way, [START + round(s.seconds * 1e9) for s in way])
+    poses = tum(
+        tmp_path / "way.tum", [s.T for s in way], [START + round(s.seconds * 1e9) for s in way]
+    )
     sequence = dv.open(file, poses=str(poses))
     with pytest.warns(
         UserWarning, match=r"150 of [\d,]+ points of cloud 0 have an impossible time"

@@ -10,7 +10,7 @@ from helpers.bags import START, at
 from helpers.scan_folders import write_tum_poses
 
 import dynaviz as dv
-from dynaviz.contracts.attributes import attributes_of, origin_of
+from dynaviz.contracts.attributes import attributes_of, facts_of, origin_of
 from dynaviz.errors import DataError
 from dynaviz.io.maps import open_map
 
@@ -67,6 +67,38 @@ def test_the_reason_is_clear_where_it_cannot_be_split(tmp_path: Path) -> None:
     ):
         dv.open(path)
     with pytest.raises(DataError, match="points and poses do not overlap in time"):
+        dv.open(path, poses=poses)
+
+
+@pytest.mark.parametrize("name", ["scalar_GpsTime", "scalar_Gps_Time", "GPS_time", "Time"])
+def test_times_are_found_under_names_of_other_programs(tmp_path: Path, name: str) -> None:
+    _, poses = write(tmp_path, None)
+    path = tmp_path / "cloud_compare.ply"
+    with open_map(path, {name: np.dtype("f8")}, UTM.round(-3)) as append:
+        append(XYZ, {name: START / 1e9 + SECONDS})
+    assert sum(len(scan) for scan in dv.open(path, poses=poses)) == N
+
+
+GPS_EPOCH = 315_964_800  # seconds from 1970 to 1980
+LEAPS = 18  # since 2017
+
+
+def test_seconds_of_the_gps_week(tmp_path: Path) -> None:
+    of_week = (START / 1e9 + LEAPS - GPS_EPOCH) % 604_800
+    path, poses = write(tmp_path, of_week + SECONDS)
+    sequence = dv.open(path, poses=poses)
+    assert sum(len(scan) for scan in sequence) == N
+    assert "seconds of the GPS week" in dict(facts_of(sequence))["split by"]
+    origin = origin_of(sequence)[0]
+    for k in range(len(sequence)):
+        rows = attributes_of(sequence, k)["intensity"].astype(int)
+        expected = UTM[0] - origin + 2 * SECONDS[rows]
+        np.testing.assert_allclose(sequence[k].origins[:, 0], expected, atol=0.003)
+
+
+def test_times_in_float32_are_named(tmp_path: Path) -> None:
+    path, poses = write(tmp_path, (START / 1e9 + SECONDS).astype(np.float32), ".ply")
+    with pytest.raises(DataError, match=r"gps_time is float32, .* steps of 128 s\. Write"):
         dv.open(path, poses=poses)
 
 

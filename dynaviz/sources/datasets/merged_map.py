@@ -26,7 +26,9 @@ from dynaviz.sources.datasets.pose_matching import parse_points_in
 from dynaviz.spatial.trajectory import Moved, PosesOverTime, Trajectory
 
 SUFFIXES = (".las", ".laz", ".pcd", ".ply")
-TIMES = ("gps_time", "GpsTime", "time", "timestamp", "t", "stamp")
+TIMES = ("gpstime", "time", "timestamp", "t", "stamp")  # plain names, the better ones first
+WEEK = 604_800.0  # seconds; GPS time may be that of the week
+COARSEST = 0.05  # seconds; steps of times that can split a map
 PERIOD = 100_000_000  # nanoseconds of a scan
 TICK = 1_000_000  # nanoseconds; resolution of the positions of the sensor
 _NEVER = -(1 << 62)  # nanoseconds; before every trajectory
@@ -96,9 +98,7 @@ class MergedMapSequence:
                 f"--points-in {points_in}: the points of a merged map are in the world frame"
             )
         fields = read_fields(path)
-        name = next((name for name in TIMES if name in fields and _vary(fields[name])), None)
-        if name is None:
-            raise DataError(path, "is a merged map without a time per point", hint=_NEEDS_SCANS)
+        name = _time_field(path, fields)
         if poses is None or not Path(poses).is_file():
             raise DataError(
                 path, f"is a merged map; its field {name} can split it by a trajectory", hint=_HINT
@@ -114,7 +114,7 @@ class MergedMapSequence:
         paths = {
             k: Trajectory.of(file.stamps[rows], file.poses[rows]) for k, rows in file.lidars.items()
         }
-        times = _nanoseconds(fields[name], Trajectory.of(file.stamps, file.poses))
+        times, clock = _nanoseconds(fields[name], Trajectory.of(file.stamps, file.poses))
         inside = np.zeros(len(times), np.bool_)
         for lidar, each in paths.items():
             inside |= (
@@ -138,8 +138,8 @@ class MergedMapSequence:
         facts = {
             "poses": f"{Path(poses).name} ({file.kind}), by stamp",
             "points in": "world frame",
-            "split by": f"{name}, {PERIOD / 1e9:g} s per scan; {len(outside):,} points are outside "
-            "the trajectory",
+            "split by": f"{name} ({clock}), {PERIOD / 1e9:g} s per scan; {len(outside):,} points "
+            "are outside the trajectory",
         }
         rows = np.concatenate([order, outside])
         sorted_fields = {key: array[rows] for key, array in fields.items()}
@@ -217,24 +217,77 @@ def _of_lidar(fields: dict[str, NDArray[Any]], lidar: int, lidars: int) -> Bool:
     return of
 
 
-def _vary(values: NDArray[Any]) -> bool:
+def _time_field(path: Path, fields: dict[str, NDArray[Any]]) -> str:
+    """The field with the times of points, also under the names that CloudCompare gives.
+
+    Raises:
+        DataError: if there is none that can split the map.
+    """
+    plain = {name.lower().removeprefix("scalar_").replace("_", ""): name for name in fields}
+    found = [plain[name] for name in TIMES if name in plain]
+    coarse = ""
+    for name in found:
+        values = fields[name][np.isfinite(fields[name])]
+        if not len(values):
+            continue
+        step = float(np.spacing(values.max())) if values.dtype == np.float32 else 0.0
+        if step > COARSEST:
+            coarse = f"its field {name} is float32, which holds such times in steps of {step:g} s"
+        elif values.min() < values.max():
+            return name
+    if coarse:
+        hint = "Write the times as float64, or subtract the same number from them and the poses"
+        raise DataError(path, f"is a merged map; {coarse}", hint=hint)
+    if found:
+        problem = f"is a merged map whose field {found[0]} is the same for all points"
+        raise DataError(path, problem, hint=_NEEDS_SCANS)
+    raise DataError(path, "is a merged map without a time per point", hint=_NEEDS_SCANS)
+
+
+def _clocks(values: NDArray[Any], first: float) -> list[tuple[str, float]]:
+    """What the times may be, and seconds to add to get those of the trajectory.
+
+    LAS stores GPS seconds, GPS seconds minus 1e9, or those of the week; a trajectory may have Unix
+    time instead.
+
+    Args:
+        values: (N,) times of points; first: of the trajectory, seconds.
+    """
+    to_unix = leap_offset(first)
+    found = [
+        ("clock of the poses", 0.0),
+        ("adjusted GPS time", 1e9),
+        ("GPS time", to_unix),
+        ("adjusted GPS time", 1e9 + to_unix),
+    ]
     finite = values[np.isfinite(values)]
-    return bool(len(finite)) and bool(finite.min() < finite.max())
+    middle = float(np.median(finite)) if len(finite) else 0.0
+    if 0 <= middle < 2 * WEEK < first:
+        weeks = [(shift, (first - shift) // WEEK * WEEK) for shift in (to_unix, 0.0)]
+        found += [
+            ("seconds of the GPS week", shift + start - back)
+            for shift, start in weeks
+            for back in (0.0, WEEK)
+        ]
+    if 0 <= first < 2 * WEEK < middle:
+        for shift in (0.0, 1e9, -leap_offset(middle)):
+            start = (middle + shift) // WEEK * WEEK
+            found += [("poses in seconds of the GPS week", shift - start)]
+    return found
 
 
-def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:
-    """Times on the clock of the trajectory.
+def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> tuple[I64, str]:
+    """Times on the clock of the trajectory, and what they were taken to be.
 
     Units of s, ms, us and ns are tried; of those in which most points lie within the trajectory,
-    the first is used. LAS stores GPS seconds, or GPS seconds minus 1e9; a trajectory may have Unix
-    time instead. Times that are not finite, or beyond 64 bits, become ``_NEVER``.
+    the first is used. Times that are not finite, or beyond 64 bits, become ``_NEVER``.
     """
     first, last = trajectory.span
-    to_unix = leap_offset(trajectory.times[0] / 1e9)
     best: NDArray[Any] = np.empty(0)
     most = -1.0
-    for offset in (0.0, 1e9, to_unix, 1e9 + to_unix):
-        for unit in (1e9, 1e6, 1e3, 1.0):
+    words = ""
+    for clock, offset in _clocks(values, trajectory.times[0] / 1e9):
+        for name, unit in (("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1.0)):
             exact = values.dtype.kind in "iu" and unit == 1.0 and not offset
             with np.errstate(over="ignore", invalid="ignore"):
                 times = (
@@ -246,4 +299,5 @@ def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:
             if share > most:
                 best = times
                 most = share
-    return np.where(np.abs(best) < -_NEVER, best, _NEVER).astype(np.int64)
+                words = f"{clock}, {name}"
+    return np.where(np.abs(best) < -_NEVER, best, _NEVER).astype(np.int64), words

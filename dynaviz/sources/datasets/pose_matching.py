@@ -107,15 +107,25 @@ def match_poses(
             f"has the poses of {several} lidars",
             hint="Give those of one, or the merged map of all",
         )
-    turns = {
-        name: _matched(replace(poses, poses=each), scans, stamps, numbers, points)
-        for name, each in poses.readings.items()
-    }
-    if not turns:
+    turns: dict[str, MatchedPoses] = {}
+    errors = []
+    for name, each in poses.readings.items() if points is not None else ():
+        try:
+            turns[name] = _matched(replace(poses, poses=each), scans, stamps, numbers, points)
+        except DataError as error:
+            errors.append(error)
+    if errors and not turns:
+        raise errors[0]
+    if not turns or points is None:
         return _matched(poses, scans, stamps, numbers, points)
-    if points is None or len(turns) == 1:
+    if len(turns) == 1:
         return next(iter(turns.values()))
-    name, figures = _tried(file, turns, points, "the order of its quaternions")
+    try:
+        name, figures = _tried(file, turns, points, "the order of its quaternions")
+    except DataError:
+        if poses.kind != "TUM":
+            raise
+        return _matched(poses, scans, stamps, numbers, points)  # as the format states
     matched = turns[name]
     return replace(matched, description=f"{matched.description}; read as x y z {name} ({figures})")
 

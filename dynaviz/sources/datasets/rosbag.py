@@ -216,6 +216,11 @@ class RosBagSequence:
         """The trajectory, as that of the only lidar."""
         return {0: self.trajectory}
 
+    @property
+    def pose_path(self) -> PosesOverTime:
+        """The poses over time."""
+        return self.trajectory
+
     def __len__(self) -> int:
         return len(self.positions)
 

@@ -36,6 +36,7 @@ from dynaviz.sources.datasets.semantickitti import CLASS_NAMES, MOVING_CLASSES, 
 from dynaviz.sources.hypotheses.judge import Points
 from dynaviz.sources.hypotheses.names import read_names
 from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import PosesOverTime
 
 SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
 # Folder names that do not identify a sequence.
@@ -181,6 +182,11 @@ class ScanFolderSequence:
     def stamps(self) -> I64 | None:
         """(frames,) int64, nanoseconds: time of each frame; None for numbered scans."""
         return self.matched.stamps
+
+    @property
+    def pose_path(self) -> PosesOverTime | None:
+        """The poses over time; None if they are not matched by stamp."""
+        return self.matched.trajectory
 
     def __len__(self) -> int:
         return len(self.scans)

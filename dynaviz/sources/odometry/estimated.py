@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import inspect
 import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from dynaviz.contracts import registry
-from dynaviz.contracts.scan import Sequence, select_frames
+from dynaviz.contracts.attributes import Unposed
+from dynaviz.contracts.scan import Sequence, SequenceSlice, select_frames
 from dynaviz.errors import DataError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
@@ -17,6 +20,18 @@ from dynaviz.sources.odometry.reposed import ReposedSequence
 from dynaviz.sources.options import SequenceOptions
 
 DEFAULT = "small-gicp"
+
+
+@dataclass(frozen=True)
+class ChosenFrames(SequenceSlice):
+    """Frames that were chosen before their poses were estimated.
+
+    The others have no poses because nobody asked for them.
+    """
+
+    def unposed(self) -> Iterator[Unposed]:
+        """None: all chosen frames have poses."""
+        return iter(())
 
 
 def is_odometry(poses: str) -> bool:
@@ -82,7 +97,10 @@ def with_estimated(source: str | Sequence, file: Path, options: SequenceOptions)
         warnings.filterwarnings("ignore", message=".*are skipped")
         opened = open_sequence(source, poses=str(file), **options.of_format)
     # The pose at the end of the last sweep may cover the stamp of the sweep after it.
-    return select_frames(opened, f":{frames}" if len(opened) > frames else None)
+    if len(opened) <= frames and options.frames is None:
+        return opened
+    rows = range(min(len(opened), frames))
+    return ChosenFrames(opened, rows, opened.sensor, opened.name)
 
 
 def _with_fixed_poses(source: str | Sequence, options: SequenceOptions) -> Sequence | None:

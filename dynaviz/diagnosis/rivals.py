@@ -1,0 +1,300 @@
+"""Other explanations of poses that do not fit, and whether an explanation is good by itself.
+
+A mount of the lidar on the vehicle and a constant delay of the poses are estimated from the scans,
+and compete with the known mistakes and with drift. An explanation is good if registration hardly
+moves scans that were placed by it, and if the ground is then below the sensor. If none is good,
+nobody can tell what is wrong: the finding then states the measures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaviz.arrays import F64
+from dynaviz.contracts.scan import Scan
+from dynaviz.diagnosis.alignment import AS_GIVEN, GAIN, Interpretation, Pairs
+from dynaviz.diagnosis.drift import Drift
+from dynaviz.diagnosis.finding import Confidence, Finding
+from dynaviz.diagnosis.trajectory import W_FIRST, W_LAST
+from dynaviz.sources.hypotheses.delays import estimate_delay, overlap_with
+from dynaviz.sources.hypotheses.judge import ground_sides
+from dynaviz.sources.hypotheses.mounts import as_option, estimate_mount
+from dynaviz.sources.hypotheses.registration import register
+from dynaviz.sources.hypotheses.views import ScanView, angle
+from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import PosesOverTime
+
+MOUNT = "lidar mount"
+DELAY = "poses late"
+UNKNOWN = "poses do not fit"
+# overlap that registration may add to that of a good explanation, and metres by which it moves
+SETTLED = 0.12
+SHIFT = 0.35
+SMALLEST = 0.7, 0.1  # degrees and metres of a mount
+SHORTEST = 0.03  # seconds of a delay
+TURNS = 10.0  # degrees by which a vehicle must turn for a mount to be told from a drift
+MOST_EXPLAINED = 0.75  # share of what registration gains, of a mount instead of a drift
+EXACT = 0.15  # metres by which registration may then still move a scan
+EXPLAINED = 0.6  # share of what registration gains
+OVERLAPS = 0.35  # of a good explanation
+UNSTEADY = 0.7  # change of the step from scan to scan, as a share of it
+POINTS = 4000  # of a scan that are registered
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How well scans fit under an explanation.
+
+    Attributes:
+        overlap, registered: mean share of a scan on the surfaces of the other one of its pair, as
+            placed and after registration.
+        moved: metres by which registration moves the sensor, median.
+        beside: share of the scans with the ground above the sensor or on a side.
+    """
+
+    overlap: float
+    registered: float
+    moved: float
+    beside: float
+
+    @property
+    def good(self) -> bool:
+        """Whether the explanation is plausible by itself."""
+        settled = self.registered - self.overlap <= SETTLED or self.moved <= SHIFT
+        return settled and self.overlap >= OVERLAPS and self.beside < 0.5
+
+    def __str__(self) -> str:
+        words = (
+            f"{self.overlap:.0%} of a scan lies on the other, after registration by "
+            f"{self.moved:.2f} m {self.registered:.0%}"
+        )
+        return f"{words}, and the ground is not below the sensor" if self.beside >= 0.5 else words
+
+
+def quality(views: Pairs, each: Interpretation = AS_GIVEN) -> Quality:
+    """How well pairs of scans fit under an interpretation."""
+    rows = []
+    placed = []
+    for a, b in views:
+        T = geometry.inverse(each.move(a.T)) @ each.move(b.T)
+        points = b.points[:: 1 + len(b.points) // POINTS]
+        moved = geometry.apply(T, points)
+        change = register(a.surface, moved)
+        middle = np.median(moved, axis=0)
+        shift = geometry.apply(change, middle[None])[0] - middle
+        rows.append(
+            (
+                a.surface.overlap(moved),
+                a.surface.overlap(geometry.apply(change, moved)),
+                float(np.linalg.norm(shift)) + np.radians(angle(change)) * 5.0,
+            )
+        )
+        placed.append(_placed(b, each))
+    if not rows:
+        return Quality(0.0, 0.0, 0.0, 0.0)
+    overlap, registered, _ = np.mean(rows, axis=0)
+    moves = float(np.median([row[2] for row in rows]))
+    return Quality(float(overlap), float(registered), moves, ground_sides(placed)[1])
+
+
+def weighed(
+    each: Interpretation | None,
+    finding: Finding,
+    views: Pairs,
+    others: Callable[[], Pairs],
+    path: PosesOverTime | None,
+) -> Finding:
+    """The finding, or a better one: of a mount, of a delay, or that nobody can tell.
+
+    Args:
+        each: the interpretation of the finding; None for findings on what points up.
+        views: pairs of scans that were compared; others: reads pairs that are closer together.
+        path: the poses over time; None if they have no times.
+    """
+    found = quality(views, each) if each is not None else None
+    if found is not None and found.good and not _rare(finding):
+        return finding
+    rival = (path and delay_finding(views, others(), path)) or mount_finding(
+        views, others, rival=found
+    )
+    if rival is not None and (found is None or not found.good or _rare(finding)):
+        return rival
+    if found is None or each is None or found.good:
+        return finding
+    if found.beside >= 0.5 and found.overlap >= OVERLAPS:
+        return finding
+    problem = f"as given, {quality(views)}; nobody can tell why. Best fit: {each.name}, but {found}"
+    return cannot_tell(problem)
+
+
+def _rare(finding: Finding) -> bool:
+    """Whether a finding states a mistake that hardly occurs: any order of four components."""
+    return finding.name == "quaternion order" and not any(
+        each.problem in finding.problem for each in (W_FIRST, W_LAST)
+    )
+
+
+def mount_finding(
+    views: Pairs,
+    others: Callable[[], Pairs],
+    drifts: bool = False,
+    rival: Quality | None = None,
+) -> Finding | None:
+    """A finding if a mount of the lidar on the vehicle explains the scans.
+
+    Args:
+        views: pairs of scans on which it is verified.
+        others: reads further pairs, from which it is estimated together with these.
+        drifts: whether the alternative is a drift. If the vehicle hardly turns, a drift in a
+            constant direction looks like a small mount, and is the likelier explanation. The
+            mount is then estimated from the other pairs alone.
+        rival: of another explanation, which holds if it fits better.
+    """
+    if drifts and _turns([*views]) < TURNS:
+        return None
+    T = estimate_mount(others() if drifts else [*others(), *views])
+    if T is None:
+        return None
+    large = angle(T) >= SMALLEST[0] or float(np.linalg.norm(T[:3, 3])) >= SMALLEST[1]
+    if not large:
+        return None
+    each = _mounted(T)
+    given = quality(views)
+    then = quality(views, each)
+    better = then.overlap > given.overlap + GAIN / 2 or given.beside >= 0.5 > then.beside
+    share = (then.overlap - given.overlap) / max(given.registered - given.overlap, 1e-6)
+    enough = share >= EXPLAINED or angle(T) >= 5
+    if drifts:
+        enough = share >= MOST_EXPLAINED and then.moved <= EXACT
+    if not (then.good and better and enough):
+        return None
+    if rival and rival.good and rival.moved + 0.01 < then.moved:
+        return None
+    option = as_option(T)
+    problem = (
+        f"the poses are those of a vehicle on which the lidar is turned or shifted "
+        f"(x,y,z,roll,pitch,yaw {option}): {then.overlap:.0%} of a scan then overlaps the other, "
+        f"instead of {given.overlap:.0%}"
+    )
+    fix = f"Give the pose of the lidar on the vehicle: --extrinsic {option}"
+    clear = then.overlap > given.overlap + 2 * GAIN
+    return Finding(MOUNT, Confidence.CERTAIN if clear else Confidence.LIKELY, problem, fix)
+
+
+def _turns(views: Pairs) -> float:
+    """Degrees between the most different attitudes of the scans."""
+    attitudes = [view.T for pair in views for view in pair]
+    return max((angle(geometry.inverse(attitudes[0]) @ T) for T in attitudes), default=0.0)
+
+
+def delay_finding(views: Pairs, verified: Pairs, path: PosesOverTime) -> Finding | None:
+    """A finding if a constant delay of the poses explains the scans.
+
+    Args:
+        views: pairs of scans from which it is chosen; verified: pairs on which it must help, too.
+        path: the poses over time.
+    """
+    found = estimate_delay(views, path)
+    if found is None or abs(found.seconds) < SHORTEST:
+        return None
+    pairs = [*views, *(pair for pair in verified if None not in (pair[0].stamp, pair[1].stamp))]
+    given = quality(pairs)
+    then = overlap_with(pairs, path, found.seconds)
+    gain = then - given.overlap
+    if gain < GAIN / 2 or gain < EXPLAINED * (given.registered - given.overlap):
+        return None
+    late = "late" if found.seconds > 0 else "early"
+    seconds = abs(found.seconds)
+    unit = f"{seconds:.2f} s"
+    change = f"{'Subtract' if found.seconds > 0 else 'Add'} {unit}"
+    problem = (
+        f"the times of the poses are {late} by {unit}: {then:.0%} of a scan then overlaps the "
+        f"other, instead of {given.overlap:.0%}"
+    )
+    fix = f"{change} {'from' if found.seconds > 0 else 'to'} the times in the pose file"
+    clear = gain > 2 * GAIN
+    return Finding(DELAY, Confidence.CERTAIN if clear else Confidence.LIKELY, problem, fix)
+
+
+def upside_down(views: Pairs, others: Callable[[], Pairs]) -> Finding | None:
+    """A finding if the ground is above the sensor, or on a side of it, in most scans."""
+    scans = [b for _, b in views]
+    if not scans or ground_sides(scans)[1] < 0.5:
+        return None
+    mount = mount_finding(views, others)
+    if mount is not None:
+        return mount
+    problem = "the ground is above the sensor or on a side of it, so the world is not z-up"
+    fix = (
+        "Rotate the poses so that z points up, or give the mount of the lidar: --extrinsic "
+        "X,Y,Z,ROLL,PITCH,YAW"
+    )
+    return Finding("world not z-up", Confidence.LIKELY, problem, fix)
+
+
+def misplaced(
+    views: Pairs, others: Callable[[], Pairs], path: PosesOverTime | None, sparse: float = 1.0
+) -> Finding | None:
+    """A finding if registration moves most neighbouring scans far: the poses are not theirs.
+
+    Args:
+        views: pairs of neighbouring scans; others: reads further ones.
+        path: the poses over time; None if they have no times.
+        sparse: nothing is registered if more than this share of a scan overlaps the other.
+    """
+    if not views or np.mean([a.surface.overlap(b.points) for a, b in views]) > sparse:
+        return None
+    drifts = [Drift.between(a, b) for a, b in views]
+    clear = [each for each in drifts if each.clear and each.metres > SHIFT]
+    if len(clear) < max(2, len(views) / 2):
+        return None
+    explained = (path and delay_finding(views, others(), path)) or mount_finding(views, others)
+    if explained:
+        return explained
+    return cannot_tell(f"as given, {quality(views)}; no known mistake explains it")
+
+
+def unsteady_way(positions: Sequence[int], poses: Sequence[F64]) -> str:
+    """How the way changes from scan to scan, in words; empty if it is smooth.
+
+    Args:
+        positions: of the scans; poses: (4, 4) of each, metres.
+    """
+    where = np.array(poses)[:, :3, 3]
+    frames = np.asarray(positions)
+    rows = np.flatnonzero((np.diff(frames[:-1]) == 1) & (np.diff(frames[1:]) == 1))
+    if len(rows) < 3:
+        return ""
+    steps = np.diff(where, axis=0)
+    change = float(np.median(np.linalg.norm(steps[rows + 1] - steps[rows], axis=1)))
+    step = float(np.median(np.linalg.norm(steps[rows], axis=1)))
+    if change < max(UNSTEADY * step, 0.1):
+        return ""
+    return (
+        f"the step of {step:.2f} m from scan to scan changes by {change:.2f} m, so scans or poses "
+        "are out of order"
+    )
+
+
+def cannot_tell(problem: str) -> Finding:
+    """The finding that poses do not fit for an unknown reason."""
+    fix = (
+        "Check that each scan has its own pose: names or stamps of scans, clock, order. Or "
+        "estimate the poses from the scans: --poses small-gicp"
+    )
+    return Finding(UNKNOWN, Confidence.LIKELY, problem, fix)
+
+
+def _mounted(X: F64) -> Interpretation:
+    """Points that were placed by the poses of the vehicle, instead of those of the lidar."""
+    move = lambda T: T @ X @ geometry.inverse(T)  # noqa: E731
+    return Interpretation(MOUNT, "", "", move, lambda T: T @ X)
+
+
+def _placed(view: ScanView, each: Interpretation) -> ScanView:
+    """The scan as an interpretation places it."""
+    points = geometry.apply(each.move(view.T), view.sample)
+    return ScanView(Scan(view.index, points.astype(np.float32), each.pose(view.T), view.stamp))
