@@ -30,6 +30,7 @@ from helpers.argoverse2_files import write_log
 from helpers.bags import BagWriter, at, columns
 from helpers.guessing_method import record, run_into
 from helpers.kitti_files import write_odometry, write_raw_drive, write_semantickitti, write_tracking
+from helpers.labelled_files import write_moe, write_pandaset, write_sustech
 from helpers.mos_files import write_doals, write_helimos
 from helpers.nuscenes_files import write_nuscenes
 from helpers.pcd_files import write_encoded
@@ -277,9 +278,12 @@ DATASETS: dict[str, Callable[[Path], Path]] = {
     "kitti_odometry": write_odometry,
     "kitti_raw": write_raw_drive,
     "kitti_tracking": write_tracking,
+    "moe": write_moe,
     "nuscenes": keyframes,
+    "pandaset": write_pandaset,
     "rosbag": bag("ros1").make,
     "semantickitti": write_semantickitti,
+    "sustechpoints": write_sustech,
 }
 """By name in the registry."""
 

@@ -12,6 +12,7 @@ from dynaviz.contracts.scan import Label
 from dynaviz.sources.datasets.truth import Truth
 
 MIN_SPEED = 0.5  # metres per second, averaged over a track, above which the track is dynamic
+MIN_WAY = 1.0  # metres from the first to the last position, if the data have no times
 MARGIN = 0.05  # metres by which boxes are enlarged, because annotated boxes are tight
 BORDER = 0.25  # metres around a moving box in which points are unlabelled
 GROUND = 0.12  # metres at the bottom of the enlarged box that count as ground
@@ -38,24 +39,25 @@ class OrientedBox:
 
 
 def moving_tracks(
-    sightings: Iterable[tuple[int, float, F64]], speed: float = MIN_SPEED
+    sightings: Iterable[tuple[int, float | None, F64]], speed: float = MIN_SPEED
 ) -> frozenset[int]:
     """Tracks whose mean speed from their first to their last position exceeds ``speed``.
 
     Args:
         sightings: track, time in seconds, and position (3,) float64, metres, world frame; in order
-            of time.
+            of time. If times are None, tracks that end over ``MIN_WAY`` from their start move.
         speed: metres per second.
     """
-    first: dict[int, tuple[float, F64]] = {}
-    last: dict[int, tuple[float, F64]] = {}
+    first: dict[int, tuple[float | None, F64]] = {}
+    last: dict[int, tuple[float | None, F64]] = {}
     for track, seconds, position in sightings:
         first.setdefault(track, (seconds, position))
         last[track] = seconds, position
     moving = set()
     for track, (start, origin) in first.items():
         end, goal = last[track]
-        if np.sqrt(((goal - origin) ** 2).sum()) > speed * (end - start):
+        least = MIN_WAY if start is None or end is None else speed * (end - start)
+        if np.sqrt(((goal - origin) ** 2).sum()) > least:
             moving.add(track)
     return frozenset(moving)
 

@@ -58,24 +58,18 @@ def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
     """
     files: dict[int, Path] = {}
     for path in folder.glob(f"*{suffix}"):
-        if not (
-            path.stem.isascii()
-            and path.stem.isdigit()
-            and len(path.stem) < 20
-            and int(path.stem) < 1 << 63
-        ):
+        stem = path.name.removesuffix(suffix)
+        if not (stem.isascii() and stem.isdigit() and len(stem) < 20 and int(stem) < 1 << 63):
             hint = (
                 f"Name the scans 000000{suffix}, 000001{suffix} ..., and keep other {suffix} files "
                 "elsewhere"
             )
             raise DataError(path, "file name is not a frame number", hint=hint)
-        if int(path.stem) in files:
+        if int(stem) in files:
             raise DataError(
-                path,
-                f"has the same number as {files[int(path.stem)].name}",
-                hint="Remove one of them",
+                path, f"has the same number as {files[int(stem)].name}", hint="Remove one of them"
             )
-        files[int(path.stem)] = path
+        files[int(stem)] = path
     if not files:
         problem = f"has no *{suffix} files" if folder.is_dir() else "does not exist"
         raise DataError(folder, problem, hint="Give the folder of a sequence")
