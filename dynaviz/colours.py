@@ -76,7 +76,8 @@ SPANS: dict[str, Colour] = {  # states of an object over time
     "moving": (235, 235, 235),
     "standing": (135, 135, 140),
     "hit": RAYS[HIT],
-    "crossed": RAYS[CROSSED],
+    "through": RAYS[CROSSED],
+    "hidden": (95, 95, 100),
     "partly": (255, 205, 160),  # pale orange
 }
 STATE: Colour = (0, 175, 155)  # of a state without values or classes

@@ -241,6 +241,7 @@ def execute(
     runtime = (
         clock.runtime(threads) if method else getattr(labeller, "runtime", Runtime(frames=total))
     )
+    updates.look()
     sections = msgspec.structs.replace(_sections(run.metrics), **more())
     labels = RunLabels(answer.packed(), np.array(counts, np.int64))
     unposed = sum(each.number for each in unposed_of(run.sequence))

@@ -7,6 +7,8 @@ from typing import Literal
 
 from msgspec import Struct, field
 
+from dynaviz.scores.looks import CaseLooks
+
 ROUNDED = 0.02  # metres around the box of a case, whose corners are rounded
 
 
@@ -29,7 +31,9 @@ class FailureCase(Struct, frozen=True):
         low, high: corners, (3,) metres, world frame.
         range: from the sensor, metres; moved: metres, how far the case moved.
         reasons: points by reason, most frequent first.
-        cause: the failure cause (``dynaviz.contracts.method.Cause``), or None.
+        cause: why it is wrong, measured (``dynaviz_eval.causes``); in earlier results declared by
+            the method, or None.
+        word: the method's own word for the rule that decided most points, or None.
         class_, instance: of the ground truth, or None.
         what: what it is, in words; sentence: a description for the reader.
         behaviour: what the object or place did (``dynaviz.scores.behaviour``), in the data alone;
@@ -39,6 +43,7 @@ class FailureCase(Struct, frozen=True):
             results.
         grazed: share of its surface that its rays meet at a small angle in its worst frame, 0 to 1;
             None for kept points, and if too few lie on a surface.
+        looks: what other scans saw at its points; None in earlier results.
         spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier
             results.
     """
@@ -64,6 +69,8 @@ class FailureCase(Struct, frozen=True):
     ground: float | None = None
     reason: str | None = None
     grazed: float | None = None
+    looks: CaseLooks | None = None
+    word: str | None = None
     spans: Mapping[str, tuple[tuple[int, int], ...]] = {}
 
     @property

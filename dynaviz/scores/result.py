@@ -385,6 +385,7 @@ def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
         "FP: static points removed, FN: dynamic points kept",
         *([f"scoring: {scorings[0]}"] if len(scorings) == 1 else []),
         *(f"{result.method}: {note}" for result in results if (note := result.unanswered)),
+        *_possible(results),
         *_at_sensor(results),
         *(
             ["* runtime includes recording of states"]
@@ -393,6 +394,21 @@ def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
         ),
     ]
     return "\n".join(lines)
+
+
+def _possible(results: Sequence[Result]) -> list[str]:
+    """A line per sequence: the DA that its evidence allows."""
+    lines = {}
+    for result in results:
+        ceiling = result.sections.ceiling
+        if ceiling is not None and ceiling.possible is not None:
+            objects = ceiling.possible_by_object
+            by_object = "" if objects is None else f", {objects} by object"
+            lines[result.sequence.name] = (
+                f"{result.sequence.name}: possible DA {ceiling.possible}{by_object}: "
+                "rays of other scans went through these places"
+            )
+    return list(lines.values())
 
 
 def _at_sensor(results: Sequence[Result]) -> list[str]:

@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Struct, field
 
 from dynaviz.scores.failure_case import FailureCase, RangeSpan
+from dynaviz.scores.looks import Ceiling
 
 
 class SequenceInfo(Struct, frozen=True):
@@ -355,6 +356,7 @@ class Sections(Struct, frozen=True, omit_defaults=True):
             dynamic_kept, unlabelled.
         metrics: SA, DA, AA, HA, precision and IoU in percent.
         error_distance: by kind of error.
+        ceiling: what the drive showed of its moving objects, and what the method made of it.
         other: sections of metrics from other packages, as plain JSON values.
     """
 
@@ -363,6 +365,7 @@ class Sections(Struct, frozen=True, omit_defaults=True):
     counts: Mapping[str, int] = {}
     metrics: Mapping[str, float | None] = {}
     error_distance: Mapping[str, ErrorDistances] = {}
+    ceiling: Ceiling | None = None
     failures: Failures | None = None
     reasons: Reasons | None = None
     removals: Removals | None = None

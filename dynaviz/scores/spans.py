@@ -16,7 +16,7 @@ Spans = Mapping[str, Sequence[Span]]  # by state, one of those in ``LANES``
 # ``removed`` where some of them are.
 LANES: dict[str, tuple[str, ...]] = {
     "truth": ("moving", "standing"),
-    "rays": ("hit", "crossed"),
+    "looks": ("hit", "through", "hidden"),
     "answer": ("kept", "partly", "removed"),
 }
 

@@ -1,89 +1,24 @@
-"""The cause of a failure case, and the sentence that describes it."""
+"""What a failure case looks like, and the sentence that describes it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz.arrays import F32
-from dynaviz.contracts.method import Cause, Reason
 from dynaviz.scores.behaviour import Behaviour
 
-SPARSE = 2.0  # points per cell and frame; with fewer, the rings are too far apart
 STATIONARY = 1.0  # metres: a case that moves less did not move, in sentences
-SLOW = 0.1  # metres per frame: slower than anyone walks in front of most sensors
-LONG = 10  # frames: what is slow in at least this many frames stands for long
 # share of the points of a case that must lie on a surface, to tell at which angle rays meet it
 MEASURED = 0.15
-GRAZED = 0.5  # of its measured surface: with more at small angles, these are the cause
 FLAT = 0.6  # metres: a case lower than this and wider than WIDE is a level surface
 WIDE = 1.5  # metres
-
-_VISIBILITY = (
-    Cause.GRAZING_RAYS,
-    Cause.PARTLY_EMPTY,
-    Cause.SPARSE_RINGS,
-    Cause.NOTHING_BEHIND,
-    Cause.STANDING,
-    Cause.OCCUPIED,
-)
-
-
-def causes_of(
-    kind: str, total: NDArray[np.void], reasons: Sequence[Reason]
-) -> list[tuple[Cause | None, int]]:
-    """The cause of each case, and the code of the reason that decided it.
-
-    The most frequent cause among the method's reasons, refined by angles and motion: a method knows
-    only whether rays passed, and these show which of the paper's failures it is. The reason is the
-    most frequent one with that cause.
-
-    Args:
-        kind: ``false_negative`` or ``false_positive``.
-        total: (C,) cases, as returned by ``cases.summed``.
-        reasons: the method's reasons, by code.
-    """
-    known = [None, *Cause]
-    of_code = np.array([*(known.index(reason.cause) for reason in reasons), 0])
-    by_cause = np.stack([total["reasons"][:, of_code == i].sum(1) for i in range(len(known))], 1)
-    refine = _refine_removed if kind == "false_positive" else _refine_kept
-    found = []
-    for case, most in zip(total, by_cause.argmax(1).tolist(), strict=True):
-        cause = known[most]
-        code = int(np.where(of_code == most, case["reasons"], -1).argmax())
-        found.append((refine(case, cause) if cause in _VISIBILITY else cause, code))
-    return found
-
-
-def _refine_removed(case: np.void, cause: Cause) -> Cause:
-    """Why rays seem to have passed through static points."""
-    if 2 * case["touching"] > case["points"]:
-        return Cause.SHARED_CELL
-    if (grazed_share(case) or 0.0) > GRAZED:
-        return Cause.GRAZING_RAYS
-    if _is_sparse(case) or (
-        is_ground(case) and 2 * case["surface"] < case["points"]
-    ):  # a single ring has no surface
-        return Cause.SPARSE_RINGS
-    return Cause.PARTLY_EMPTY if cause is Cause.GRAZING_RAYS else cause
-
-
-def _refine_kept(case: np.void, cause: Cause) -> Cause:
-    """Why rays did not show that the place of dynamic points is free.
-
-    Hits outweigh them, or too few passed.
-    """
-    if cause in (Cause.STANDING, Cause.OCCUPIED):
-        long = case["frames"] >= LONG and case["moved"] < SLOW * case["frames"]
-        return Cause.STANDING if long else Cause.OCCUPIED
-    return (
-        Cause.SPARSE_RINGS
-        if cause is Cause.SPARSE_RINGS or _is_sparse(case)
-        else Cause.NOTHING_BEHIND
-    )
+PERSON = 1.2  # metres: the longest side of a person seen from above, with a stride
+TALL = 2.3  # metres: the largest height of a person
+UPRIGHT = 0.9  # metres: the least height of what looks like a person
+VEHICLES = (("car", 6.0, 2.5), ("truck", 15.0, 4.5))  # longest side and largest height, metres
 
 
 def grazed_share(case: np.void) -> float | None:
@@ -95,10 +30,6 @@ def grazed_share(case: np.void) -> float | None:
     return (
         int(case["grazed"]) / surface if surface and surface >= MEASURED * case["points"] else None
     )
-
-
-def _is_sparse(case: np.void) -> bool:
-    return bool(case["points"] < SPARSE * case["cells"])
 
 
 def _is_level(size: F32) -> bool:
@@ -123,6 +54,29 @@ def shape(kind: str, case: np.void) -> str:
         return "level surface"
     if max(size[:2]) < WIDE:
         return "pole or trunk" if size[2] > max(size[:2]) else "small object"
+    return "wall or other surface"
+
+
+def sized(case: np.void, size: F32) -> str:
+    """Name a cluster of removed points, a row of ``cases.summed``, where nothing is known of it.
+
+    Args:
+        case: the cluster.
+        size: (3,) metres: of its box in one frame, the median.
+    """
+    if is_ground(case):
+        return "ground"
+    if _is_level(size):
+        return "level surface"
+    length = float(max(size[:2]))
+    height = float(size[2])
+    if length <= PERSON and height <= TALL:
+        return "person-sized object" if height >= UPRIGHT else "small object"
+    if length < WIDE:
+        return "pole or trunk"
+    for name, longest, highest in VEHICLES:
+        if length <= longest and height <= highest:
+            return f"{name}-sized object"
     return "wall or other surface"
 
 
@@ -170,4 +124,20 @@ def sentence(case: Mapping[str, Any], meaning: str, patches: bool = False) -> st
         name += " in patches within" if patches else ","
         fact = f"Removed: {name} {extent(case)}, {when_and_where(case)}."
     why = meaning.partition(": ")[2] or meaning
-    return f"{fact} {why[:1].upper()}{why[1:]}."
+    return f"{fact}{measured(case)} {why[:1].upper()}{why[1:]}."
+
+
+def measured(case: Mapping[str, Any]) -> str:
+    """What rays showed of a case, such as `` Stood there: hit by 24 scans, seen through by 2.``.
+
+    Empty without looks.
+    """
+    looks = case.get("looks")
+    if looks is None:
+        return ""
+    cause = case["cause"]
+    hits = f"hit by {looks['hits']:g} other scan{'s' * (looks['hits'] != 1)}"
+    near = ""
+    if case["kind"] == "false_positive" and looks["mover"] is not None:
+        near = f", the nearest mover is {looks['mover']:.1f} m away"
+    return f" {cause[:1].upper()}{cause[1:]}: {hits}, seen through by {looks['throughs']:g}{near}."

@@ -5,20 +5,25 @@ Half of the diagnosis of a failure case.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I32, I64, Bool
+from dynaviz.contracts.looks import CountedLooks
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.kernels.keys import REACH as KEY_REACH
 from dynaviz.kernels.keys import X_SHIFT
 from dynaviz.scores.behaviour import Behaviour
+from dynaviz.scores.looks import ObjectCeiling
 from dynaviz.scores.spans import Spans, spans_of
 from dynaviz.spatial.grid import in_key_range, unpack
 from dynaviz_eval.cases import EDGE, GAP, Cases, FramePoints, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT, scan_squared_ranges
+from dynaviz_eval.samples import POINT, smallest
 from dynaviz_eval.sorted_runs import SortedRuns
 
 # frames: motion is measured over a second of most sensors, long enough to exceed the noise of boxes
@@ -31,6 +36,8 @@ REACH = 3.0  # metres above the ground: what is higher, such as a bridge, touche
 FAR = 30.0
 BRIEF = 5  # frames: too few hits to decide by
 TRACKS = 1000  # objects that are remembered
+LOOKED_AT = 200  # of these, objects at whose points looks are taken
+SAMPLED = 24  # of their points
 CELL = 1.0  # metres: edge of a cell of a place
 PLACES = 100_000  # cells in memory; more are stored on disk
 _RECORD = np.dtype([("key", np.int64), ("visits", np.int32, 3)])
@@ -46,7 +53,8 @@ class Objects:
     """
 
     def __init__(self) -> None:
-        self._cases = Cases(1, np.inf, keep=TRACKS)
+        self._cases = Cases(1, np.inf, keep=TRACKS, sampled=SAMPLED)
+        self._sample = np.empty(0, POINT)
         self._frame = 0
 
     def add(self, labelled: Labelled, heights: F32 | None) -> None:
@@ -69,12 +77,69 @@ class Objects:
         none = np.zeros(len(chosen), np.uint8)
         ranges = np.sqrt(scan_squared_ranges(scan)[chosen])
         self._cases.add(
-            FramePoints(labelled.frame, scan.points[chosen], groups, none, ranges, near[chosen])
+            FramePoints(
+                labelled.frame, scan.points[chosen], groups, none, ranges, near[chosen], rows=chosen
+            )
         )
 
     def finish(self) -> None:
         """Complete the tracks; call it after the last scan."""
         self._cases.settle(self._frame + GAP + 1)
+
+    def sample(self) -> NDArray[np.void]:
+        """Points of the largest objects; ``group`` is the object. After ``finish``."""
+        rows = self._numbered()
+        objects, of = np.unique(rows["case"], return_inverse=True)
+        points = np.bincount(of, rows["points"], len(objects))
+        largest = objects[np.argsort(-points, kind="stable")[:LOOKED_AT]]
+        sample = self._cases.sample.copy()
+        sample["group"] = self._number_of[sample["group"]]
+        sample = sample[np.isin(sample["group"], largest)]
+        self._sample = smallest(sample, SAMPLED)
+        return self._sample
+
+    def _numbered(self) -> NDArray[np.void]:
+        """The rows, of which those of one class and number belong to one object."""
+        rows: NDArray[np.void] = self._cases.rows.copy()
+        count = int(rows["case"].max(initial=-1)) + 1
+        self._number_of = np.arange(count)
+        first: dict[int, int] = {}
+        for row in rows[np.unique(rows["case"], return_index=True)[1]]:
+            if row["group"] & 0xFFFFFFFF:
+                case = int(row["case"])
+                self._number_of[case] = first.setdefault(int(row["group"]), case)
+        rows["case"] = self._number_of[rows["case"]]
+        return rows
+
+    def ceilings(self, seen: CountedLooks, names: Mapping[int, str]) -> list[ObjectCeiling]:
+        """What the drive showed of the largest objects, those with most points first.
+
+        Args:
+            seen: the looks at ``sample``.
+            names: of classes.
+        """
+        rows = self._numbered()
+        evident = seen.through > 0
+        found = []
+        for number in np.unique(self._sample["group"]).tolist():
+            own = rows[rows["case"] == number]
+            group = int(own["group"][0])
+            class_ = (group >> 32) - 1
+            mine = self._sample["group"] == number
+            found.append(
+                ObjectCeiling(
+                    class_=class_ if class_ >= 0 else None,
+                    instance=(group & 0xFFFFFFFF) or None,
+                    what=names.get(class_) or "moving object",
+                    points=int(own["points"].sum()),
+                    sampled=int(mine.sum()),
+                    seen_through=round(100.0 * float(evident[mine].mean()), 1),
+                    first_frame=int(own["frame"].min()),
+                    last_frame=int(own["frame"].max()),
+                )
+            )
+        found.sort(key=lambda each: (-each.points, each.first_frame, each.instance or 0))
+        return found
 
     def behaviour(self, rows: NDArray[np.void]) -> Behaviour | None:
         """What the object did to which wrong points belong, given the rows of their case.

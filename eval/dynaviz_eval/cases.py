@@ -18,12 +18,14 @@ from dynaviz.contracts.metric import FrameBoxes
 from dynaviz.contracts.scan import Outcome
 from dynaviz.spatial.grid import pack
 from dynaviz.spatial.surface import GRAZING
+from dynaviz_eval import samples
 
 Angles = Callable[[Intp], F64]
 
 EDGE = 0.5  # metres: points in touching cells belong to one case
 GAP = 10  # frames for which a cell is remembered: points that return later start a new case
 KEEP = 100  # cases listed individually
+NUMBER = 0xFFFFFFFF  # the bits of a group that are the number of an object
 MEASURED_EVERY = 20  # points of a case in a frame for one whose surface is measured
 MOST_MEASURED = 32  # of these
 EVERY = 16  # frames between two clean-ups, which drop small cases that are over
@@ -46,6 +48,8 @@ class FramePoints:
         ground: (N,) bool, True on the ground; None if unknown.
         angles: given rows of ``points``, the angles at which their rays meet the surface; None if
             unknown.
+        rows: (N,) rows in the scan; None for no sample.
+        heights: (N,) float32, metres above the ground; None if unknown.
     """
 
     frame: int
@@ -56,6 +60,8 @@ class FramePoints:
     touching: Bool
     ground: Bool | None = None
     angles: Angles | None = None
+    rows: Intp | None = None
+    heights: F32 | None = None
 
 
 class Cases:
@@ -71,6 +77,9 @@ class Cases:
         dropped: receives the small cases that are over and no longer kept, one row each
             (``summed``).
         keep: number of cases that are kept when they are over, largest first.
+        sampled: number of points of each case that are kept, in ``sample``, of which ``group`` is
+            the case.
+        objects: whether the points of a group with an object's number are one case.
     """
 
     def __init__(
@@ -79,6 +88,8 @@ class Cases:
         span: float,
         dropped: Callable[[NDArray[np.void]], None] = lambda cases: None,
         keep: int = KEEP,
+        sampled: int = 0,
+        objects: bool = False,
     ) -> None:
         self._limit = int(min(span / EDGE, 1 << 30))
         self.kind = np.dtype(
@@ -95,6 +106,10 @@ class Cases:
         self.rows = np.empty(0, self.kind)
         self._dropped = dropped
         self._keep = keep
+        self._sampled = sampled
+        self._objects = objects
+        self.sample = np.empty(0, samples.POINT)
+        self._new_sample: list[NDArray[np.void]] = []
         self._new: list[NDArray[np.void]] = []
         self._table = np.full(1024, -1, np.int64)
         self._cells = np.empty((1024, 3), np.int64)
@@ -141,8 +156,10 @@ class Cases:
         rows["near"] = low[:, 3]
         rows["far"] = high[:, 3]
         rows["reasons"] = crossed
+        row = np.searchsorted(case, of_point)
+        if self._sampled and wrong.rows is not None:
+            self._choose(wrong, of_point, rows["points"][row])
         if wrong.angles is not None:
-            row = np.searchsorted(case, of_point)
             measured = _spread_over(row, rows["points"])
             found = wrong.angles(measured)
             of = row[measured]
@@ -150,6 +167,19 @@ class Cases:
             for name, chosen in (("surface", found >= 0), ("grazed", found < GRAZING)):
                 rows[name] = np.bincount(of, weights * chosen)
         return rows
+
+    def _choose(self, wrong: FramePoints, case: NDArray[np.int32], sizes: I64) -> None:
+        """Keep those points of a frame that may be in the samples of their cases."""
+        assert wrong.rows is not None
+        priority = samples.priorities(wrong.frame, wrong.rows)
+        some = np.flatnonzero(samples.likely(priority, sizes, self._sampled))
+        heights = None if wrong.heights is None else wrong.heights[some]
+        self._new_sample.append(
+            samples.records(
+                wrong.frame, wrong.rows[some], case[some].astype(np.int64), priority[some],
+                wrong.points[some], heights, wrong.reasons[some], False,
+            )
+        )  # fmt: skip
 
     def _make_room(self, more: int) -> None:
         room = 2 * (self._remembered + more)
@@ -177,8 +207,13 @@ class Cases:
         """
         rows = np.concatenate([self.rows, *self._new])
         self._new = []
+        if self._objects:
+            self._join_objects(rows)
         rows["case"] = kernels.cases.roots(self._parent, self._used)[rows["case"]]
         rows, _ = pooled(rows, ("case", "frame"))  # several cases of a frame may have joined
+        sample = np.concatenate([self.sample, *self._new_sample])
+        self._new_sample = []
+        sample["group"] = kernels.cases.roots(self._parent, self._used)[sample["group"]]
         old, which = np.unique(rows["case"], return_inverse=True)
         points = np.bincount(which, rows["points"], len(old))
         last = np.zeros(len(old), np.int64)
@@ -191,7 +226,19 @@ class Cases:
         self.rows = rows[keep[which]]
         new = np.cumsum(keep) - 1
         self.rows["case"] = new[which][keep[which]]
+        of = np.searchsorted(old, sample["group"])
+        sample["group"] = new[of]
+        self.sample = samples.smallest(sample[keep[of]], self._sampled)
         self._forget(frame, old, keep, new)
+
+    def _join_objects(self, rows: NDArray[np.void]) -> None:
+        """Make one case of the cases of each object with a number."""
+        numbered = rows[(rows["group"] & NUMBER) != 0]
+        cases = kernels.cases.roots(self._parent, self._used)[numbered["case"]]
+        groups, of = np.unique(numbered["group"], return_inverse=True)
+        first = np.full(len(groups), self._used, np.int64)
+        np.minimum.at(first, of, cases)
+        self._parent[cases] = first[of]
 
     def _forget(self, frame: int, old: I64, keep: Bool, new: Intp) -> None:
         alive = np.flatnonzero((self._table >= 0) & (frame - self._cells[:, LAST] <= GAP))
@@ -280,7 +327,9 @@ def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
     return total
 
 
-def gathered(rows: NDArray[np.void], span: float) -> tuple[NDArray[np.void], dict[int, float]]:
+def gathered(
+    rows: NDArray[np.void], span: float
+) -> tuple[NDArray[np.void], dict[int, float], dict[int, int]]:
     """Make one case of patches of ground of one group that are near each other, such as the arcs of
     one scan pattern.
 
@@ -288,7 +337,8 @@ def gathered(rows: NDArray[np.void], span: float) -> tuple[NDArray[np.void], dic
     metres along each axis and were seen at most ``GAP`` frames before or after it.
 
     Returns:
-        The rows, and by case that took in others the share of its points in its largest patch.
+        The rows; by case that took in others the share of its points in its largest patch; and by
+        case that was taken in, which one took it.
     """
     total = summed(rows)
     ground = total[2 * total["ground"] > total["points"]]
@@ -316,7 +366,7 @@ def gathered(rows: NDArray[np.void], span: float) -> tuple[NDArray[np.void], dic
         ground = ground[rest]
     rows = rows.copy()
     rows["case"] = [into.get(case, case) for case in rows["case"].tolist()]
-    return pooled(rows, ("case", "frame"))[0], largest
+    return pooled(rows, ("case", "frame"))[0], largest, into
 
 
 def facts(case: np.void, names: Sequence[str], grounded: bool) -> dict[str, Any]:

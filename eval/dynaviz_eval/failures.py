@@ -1,28 +1,33 @@
-"""Failure cases: wrong points that belong together, and their causes in the paper's terms."""
+"""Failure cases: wrong points that belong together, and what rays showed of them."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, Bool, Intp
-from dynaviz.contracts.method import MethodInfo
+from dynaviz.arrays import F32, F64, I32, Bool, Intp
+from dynaviz.contracts.looks import AskedPlaces, CountedLooks, Look
+from dynaviz.contracts.method import MethodInfo, Reason
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome, Scan
 from dynaviz.scores.scores import percentage_points_lost
-from dynaviz.scores.spans import Spans, spans_of
+from dynaviz.scores.spans import LANES, Spans, spans_of
 from dynaviz.spatial.grid import in_key_range
 from dynaviz.spatial.surface import angles, surface_normals
-from dynaviz_eval.attribution import causes_of, grazed_share, sentence, shape
+from dynaviz_eval.attribution import grazed_share, sentence, shape
 from dynaviz_eval.behaviour import Objects, VisitedPlaces, groups_of
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts, gathered, summed
+from dynaviz_eval.causes import cause_of, looks_of
+from dynaviz_eval.ceiling import Evident, asked_places
 from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
+from dynaviz_eval.samples import smallest
 
 # Metres: maximum size of a false-positive case; larger holes are split, and patches of ground
 # within are one. Trails of movers may be longer.
@@ -30,6 +35,9 @@ SPAN = 20.0
 ONE_PATCH = (
     0.9  # of the points of a case: with fewer in its largest patch, it is described as patches
 )
+LOOKED_AT = 64  # points of each listed case at which looks are taken
+NOT_LISTED = "not listed, not measured"
+NO_REASON = Reason("unknown code", "the method gives no known reason")
 _UNLABELLED = 1 << 32  # the group of class 0
 _KINDS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
@@ -42,21 +50,25 @@ class FailuresMetric:
     ``high`` corner (metres, world frame), ``range`` from the sensor (metres), distance ``moved``
     (metres), ``reasons`` with their counts, ``cause``, ``class``, ``instance``, ``what`` it is, its
     ``behaviour``, the share of its points on the ``ground``, that of its surface met at small
-    angles (``grazed``), ``spans`` of frames by state, and a ``sentence``. ``causes``: numbers of
-    cases and points by kind and cause, of all cases. ``others``: cases and points that are not
-    listed.
+    angles (``grazed``), the ``looks`` at its points, ``spans`` of frames by state, and a
+    ``sentence``. ``causes``: numbers of cases and points by kind and cause; of cases that are not
+    listed nothing is measured. ``others``: cases and points that are not listed.
+
+    Section ``ceiling``: what the drive showed of its moving objects.
     """
 
     def __init__(self, info: MethodInfo) -> None:
         self._reasons = info.reasons
         spans = {"false_negative": np.inf, "false_positive": SPAN}
         self._cases = {
-            kind: Cases(len(info.reasons) + 1, span, partial(self._count, kind))
+            kind: Cases(len(info.reasons) + 1, span, partial(self._drop, kind), sampled=LOOKED_AT)
             for kind, span in spans.items()
         }
-        self._causes: dict[str, dict[str, dict[str, int]]] = {
-            kind: defaultdict(lambda: {"cases": 0, "points": 0}) for kind in spans
-        }
+        self._unlisted = {kind: {"cases": 0, "points": 0} for kind in spans}
+        self._evident = Evident(info.reasons)
+        self._found: list[_Found] = []
+        self._asked = False
+        self._seen: CountedLooks | None = None
         self._objects = Objects()
         self._places = VisitedPlaces()
         self._grounded = True
@@ -75,6 +87,7 @@ class FailuresMetric:
                 for label in (Label.STATIC, Label.DYNAMIC)
             )
             self.add(labelled, static, dynamic, scan_heights(scan))
+            self._evident.add(labelled)
         return {}
 
     def add(
@@ -114,7 +127,9 @@ class FailuresMetric:
             measured = partial(_angles, scan, wrong) if removed else None
             reasons = labelled.reasons[wrong]
             cases.add(
-                FramePoints(labelled.frame, points, groups, reasons, ranges, near, ground, measured)
+                FramePoints(
+                    labelled.frame, points, groups, reasons, ranges, near, ground, measured, wrong
+                )
             )
 
     @staticmethod
@@ -127,43 +142,102 @@ class FailuresMetric:
         found: Bool = kernels.touching.cells(labelled.scan.points, removed, dynamic, EDGE)
         return found
 
+    def places(self) -> AskedPlaces:
+        """Points of the listed cases, of the largest objects, and of the whole run."""
+        self._settle()
+        parts = [
+            asked_places(found.sample, np.full(len(found.sample), number))
+            for number, found in enumerate(self._found)
+        ]
+        cases = AskedPlaces.of([])
+        if parts:
+            cases = AskedPlaces(
+                *(
+                    np.concatenate([getattr(part, name) for part in parts])
+                    for name in ("points", "frames", "groups")
+                )
+            )
+        others = [asked_places(self._objects.sample()), self._evident.places()]
+        self._sizes = [len(cases), *map(len, others)]
+        return AskedPlaces.of([cases, *others])
+
+    def looked(self, seen: CountedLooks) -> None:
+        """Receive the looks at these points."""
+        self._seen = seen
+
     def finish(self) -> Mapping[str, Any]:
-        """The section."""
+        """The sections."""
+        self._settle()
+        first = 0
+        for number, found in enumerate(self._found):
+            rows = np.arange(first, first + len(found.sample))
+            first += len(rows)
+            self._listed.append((self._described(found, number, rows), found.rows))
+        section = {
+            "cases": [case for case, _ in self._listed],
+            "causes": self._by_cause(),
+            "others": {
+                name: sum(count[name] for count in self._unlisted.values())
+                for name in ("cases", "points")
+            },
+        }
+        return {"failures": section, **self._ceiling()}
+
+    def _ceiling(self) -> dict[str, Any]:
+        """The section ``ceiling``; empty without looks or ground truth."""
+        if self._seen is None or not any(self._totals.values()):
+            return {}
+        ends = np.cumsum(self._sizes).tolist()
+        none = slice(0, 0)
+        objects = self._objects.ceilings(self._seen.part(slice(*ends[:2]), none), self._names)
+        return {"ceiling": self._evident.found(self._seen.part(slice(*ends[1:]), none), objects)}
+
+    def _settle(self) -> None:
+        """Choose the listed cases, once."""
+        if self._asked:
+            return
+        self._asked = True
         self._objects.finish()
-        listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
+        every = []
         for kind, cases in self._cases.items():
             cases.settle(self._frame + GAP + 1)  # all cases are over by then
-            rows, largest = (
-                gathered(cases.rows, SPAN) if kind == "false_positive" else (cases.rows, {})
-            )
-            listed += self._described(kind, rows, largest)
-            self._count(kind, summed(rows))
-        listed.sort(
-            key=lambda pair: (
-                -pair[0]["cost"],
-                pair[0]["kind"],
-                pair[0]["first_frame"],
-                pair[0]["low"],
-            )
-        )
-        self._listed = listed[:KEEP]
-        counts = [count for by in self._causes.values() for count in by.values()]
-        others = {
-            "cases": sum(count["cases"] for count in counts) - len(self._listed),
-            "points": sum(count["points"] for count in counts)
-            - sum(case["points"] for case, _ in self._listed),
-        }
+            rows = cases.rows
+            sample = cases.sample
+            largest: Mapping[int, float] = {}
+            if kind == "false_positive":
+                rows, largest, into = gathered(rows, SPAN)
+                sample = sample.copy()
+                sample["group"] = [into.get(case, case) for case in sample["group"].tolist()]
+                sample = smallest(sample, LOOKED_AT)
+            for case in summed(rows):
+                number = int(case["case"])
+                cost = float(percentage_points_lost(int(case["points"]), self._totals[kind]))
+                every.append(
+                    _Found(
+                        kind, case, rows[rows["case"] == number],
+                        sample[sample["group"] == number], cost, largest.get(number, 1.0),
+                    )
+                )  # fmt: skip
+        every.sort(key=_Found.order)
+        self._found = every[:KEEP]
+        for found in every[KEEP:]:
+            self._drop(found.kind, np.atleast_1d(found.case))
+
+    def _by_cause(self) -> dict[str, dict[str, dict[str, int]]]:
+        """Cases and points by kind and cause, most points first."""
+        by: dict[str, dict[str, dict[str, int]]] = {kind: {} for kind in self._cases}
+        for case, _ in self._listed:
+            count = by[case["kind"]].setdefault(case["cause"], {"cases": 0, "points": 0})
+            count["cases"] += 1
+            count["points"] += case["points"]
         ordered = {
-            kind: dict(sorted(by.items(), key=lambda i: -i[1]["points"]))
-            for kind, by in self._causes.items()
+            kind: dict(sorted(causes.items(), key=lambda each: -each[1]["points"]))
+            for kind, causes in by.items()
         }
-        return {
-            "failures": {
-                "cases": [case for case, _ in self._listed],
-                "causes": ordered,
-                "others": others,
-            }
-        }
+        for kind, count in self._unlisted.items():
+            if count["cases"]:
+                ordered[kind][NOT_LISTED] = dict(count)
+        return ordered
 
     def figures(self) -> Mapping[str, Figure]:
         """A box around each case, overall and in each of its frames."""
@@ -171,59 +245,90 @@ class FailuresMetric:
             return {}
         return {"failures": boxes(self._listed, [_KINDS[case["kind"]] for case, _ in self._listed])}
 
-    def _count(self, kind: str, over: NDArray[np.void]) -> None:
-        """Add cases that are over to the counts of their causes."""
-        for (cause, _), points in zip(
-            causes_of(kind, over, self._reasons), over["points"].tolist(), strict=True
-        ):
-            count = self._causes[kind][str(cause or "unknown")]
-            count["cases"] += 1
-            count["points"] += points
+    def _drop(self, kind: str, over: NDArray[np.void]) -> None:
+        """Count cases that are over and not listed."""
+        self._unlisted[kind]["cases"] += len(over)
+        self._unlisted[kind]["points"] += int(over["points"].sum())
 
-    def _described(
-        self, kind: str, rows: NDArray[np.void], largest: Mapping[int, float]
-    ) -> Iterator[tuple[dict[str, Any], NDArray[np.void]]]:
-        """Each case as plain JSON values, with its rows.
-
-        Given the share of the largest patch of those in patches.
-        """
+    def _described(self, found: _Found, number: int, rows: Intp) -> dict[str, Any]:
+        """A listed case as plain JSON values, given the rows of its points among the looks."""
+        kind = found.kind
+        case = found.case
+        own = found.rows
+        group = int(case["group"])
+        class_ = (group >> 32) - 1
+        removed = kind == "false_positive"
         names = [*(reason.name for reason in self._reasons), "unknown code"]
-        meanings = [
-            *(reason.meaning for reason in self._reasons),
-            "the method gives no known reason",
-        ]
-        total = summed(rows)
-        for case, (cause, code) in zip(total, causes_of(kind, total, self._reasons), strict=True):
-            group = int(case["group"])
-            own = rows[rows["case"] == case["case"]]
-            number = (group >> 32) - 1  # of its class
-            behaviour = (
-                self._places.behaviour(case)
-                if kind == "false_positive"
-                else self._objects.behaviour(own)
-            )
-            if kind == "false_positive":
-                spans: Spans = {"removed": spans_of(np.unique(own["frame"]).tolist())}
-            else:  # an object with a number may have several cases
-                spans = self._objects.spans(
-                    rows[rows["group"] == group] if group & 0xFFFFFFFF else own
-                )
-            found = facts(case, names, self._grounded)
-            plain = {
-                "kind": kind,
-                **found,
-                "cost": float(percentage_points_lost(found["points"], self._totals[kind])),
-                "cause": None if cause is None else str(cause),
-                "reason": names[code],
-                "grazed": None if (grazed := grazed_share(case)) is None else round(grazed, 3),
-                "class": number if number >= 0 else None,
-                "instance": (group & 0xFFFFFFFF) or None if kind == "false_negative" else None,
-                "what": self._names.get(number) or shape(kind, case),
-                "behaviour": None if behaviour is None else str(behaviour),
-                "spans": {state: [list(span) for span in found] for state, found in spans.items()},
-            }
-            patches = largest.get(int(case["case"]), 1.0) < ONE_PATCH
-            yield {**plain, "sentence": sentence(plain, meanings[code], patches)}, own
+        code = int(case["reasons"].argmax())
+        reason = self._reasons[code] if code < len(self._reasons) else NO_REASON
+        looks = None if self._seen is None or not len(rows) else looks_of(self._seen, rows)
+        behaviour = self._places.behaviour(case) if removed else self._objects.behaviour(own)
+        if removed:
+            spans: Spans = {"removed": spans_of(np.unique(own["frame"]).tolist())}
+        else:
+            spans = self._objects.spans(own)
+        if self._seen is not None and number < len(self._seen.by_frame):
+            spans = {**spans, **spans_of_looks(self._seen.by_frame[number])}
+        known = facts(case, names, self._grounded)
+        plain = {
+            "kind": kind,
+            **known,
+            "cost": found.cost,
+            "cause": str(cause_of(kind, looks, reason.cause)),
+            "word": None if reason.cause is None else str(reason.cause),
+            "reason": names[code],
+            "grazed": None if (grazed := grazed_share(case)) is None else round(grazed, 3),
+            "class": class_ if class_ >= 0 else None,
+            "instance": None if removed else (group & 0xFFFFFFFF) or None,
+            "what": self._names.get(class_) or shape(kind, case),
+            "behaviour": None if behaviour is None else str(behaviour),
+            "looks": None if looks is None else msgspec.to_builtins(looks),
+            "spans": {state: [list(span) for span in found] for state, found in spans.items()},
+        }
+        return {**plain, "sentence": sentence(plain, reason.meaning, found.largest < ONE_PATCH)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """A case, and what is known about it.
+
+    Attributes:
+        kind: of its error; case: its row of ``summed``; rows: by frame.
+        sample: of its points.
+        cost: percentage points of DA or SA.
+        largest: share of its points in its largest patch.
+    """
+
+    kind: str
+    case: np.void
+    rows: NDArray[np.void]
+    sample: NDArray[np.void]
+    cost: float
+    largest: float
+
+    def order(self) -> tuple[Any, ...]:
+        """Costliest first."""
+        low = [round(float(value), 2) for value in self.case["low"]]
+        return -self.cost, self.kind, int(self.case["first"]), low
+
+
+def spans_of_looks(by_frame: I32) -> Spans:
+    """When scans hit the place of a case, saw through it, or saw nothing of it.
+
+    The most frequent look at its points in each frame decides.
+
+    Args:
+        by_frame: (frames, 6) number of points by frame and ``Look``.
+    """
+    through = by_frame[:, Look.THROUGH] + by_frame[:, Look.GRAZING]
+    parts = np.stack([by_frame[:, Look.HIT], through, by_frame[:, Look.HIDDEN]], 1)
+    none = by_frame[:, Look.BETWEEN] + by_frame[:, Look.OUTSIDE]
+    most = np.where(parts.max(1) >= np.maximum(none, 1), parts.argmax(1), -1)
+    return {
+        state: found
+        for number, state in enumerate(LANES["looks"])
+        if (found := spans_of(np.flatnonzero(most == number).tolist()))
+    }
 
 
 def _angles(scan: Scan, wrong: Intp, chosen: Intp) -> F64:

@@ -18,7 +18,7 @@ from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.scores import RANGE_EDGES
 from dynaviz.spatial.grid import in_key_range
-from dynaviz_eval.attribution import is_ground, shape
+from dynaviz_eval.attribution import is_ground, sized
 from dynaviz_eval.behaviour import VisitedPlaces
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts, summed
 from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
@@ -150,7 +150,8 @@ class _Clusters:
         else:
             score, why = suspicion(case, rows, self._places.visits(case["low"], case["high"]))
             did = "removed"
-            what = MOVING if moved(rows) else shape("false_positive", case)
+            what = sized(case, np.median(rows["high"] - rows["low"], axis=0))
+            what = f"{MOVING} {what}" if moved(rows) else what
         near = round(float(case["touching"] / case["points"]), 3)
         plain = {
             **known,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import I64
-from dynaviz_eval.spool import store
+from dynaviz.io.temporary import store
 
 HELD = 250_000  # records that a metric keeps in memory before it stores them as a run
 _STEP = 1024  # records between two keys of a run that stay in memory

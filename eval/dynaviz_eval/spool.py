@@ -7,13 +7,12 @@ import threading
 import weakref
 from array import array
 from collections.abc import Iterator
-from typing import IO
 
 import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, Bool
-from dynaviz.errors import DynavizError
+from dynaviz.io.temporary import store
 
 EVERYWHERE = np.ones((1, 1), np.bool_)
 # columns of a span
@@ -22,29 +21,6 @@ START = 1
 COUNT = 2
 LOW = slice(3, 6)
 HIGH = slice(6, 9)
-
-
-def store(file: IO[bytes], rest: memoryview, size: int, what: str) -> None:
-    """Write bytes to a temporary file.
-
-    Args:
-        file: unbuffered, at its end.
-        rest: the bytes.
-        size: of the file with them, bytes; for the error.
-        what: what the file contains, for the error.
-
-    Raises:
-        DynavizError: if the disk is full.
-    """
-    try:
-        while len(rest):
-            rest = rest[file.write(rest) :]
-    except OSError as error:
-        raise DynavizError(
-            f"{tempfile.gettempdir()}: cannot write {size / 1e6:.0f} MB of temporary {what} "
-            f"({error.strerror}). "
-            "Free some space, or set TMPDIR to a folder on a larger disk."
-        ) from None
 
 
 class PointSpool:

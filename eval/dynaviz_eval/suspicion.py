@@ -22,7 +22,8 @@ MOVED = 2.0  # metres in a window, as far as a walker gets: the cluster is a mov
 CLEAR = 0.25  # a sign as strong as this is stated
 MOVER = 0.2  # what is left of the suspicion of a cluster that moved
 
-MOVING = "moving object"  # the name of a cluster that moved
+MOVING = "moving"  # how the name of a cluster that moved begins
+DOUBTFUL = 0.3  # of the whole suspicion: a cluster with more is called suspicious
 
 # Shares of the whole suspicion. Ground outweighs any other sign: no road user is that low.
 WEIGHTS = {"ground": 0.4, "level": 0.3, "large": 0.2, "lasting": 0.2, "kept": 0.15, "brief": 0.05}
@@ -92,9 +93,12 @@ def cluster_sentence(cluster: Mapping[str, Any]) -> str:
         f"{cluster['did'].capitalize()}: {cluster['what']}, {extent(cluster)}, "
         f"{when_and_where(cluster)}."
     )
-    if cluster["what"] == MOVING:
+    if cluster["what"].startswith(MOVING):
         return f"{fact} Moves as movers do."
-    return f"{fact} Suspicious: {', '.join(cluster['why'])}." if cluster["why"] else fact
+    if not cluster["why"]:
+        return fact
+    word = "Suspicious" if cluster["suspicion"] > DOUBTFUL else "Signs of a static surface"
+    return f"{fact} {word}: {', '.join(cluster['why'])}."
 
 
 def _between(value: float, low: float, high: float) -> float:

@@ -133,7 +133,7 @@ def test_patches_of_ground_near_each_other_are_one_case():
         ground_case(3, 18.1, 40, GAP), ground_case(4, 3.0, 9, ground=False),
         ground_case(5, 3.0, 7, GAP + 2),
     ]  # fmt: skip
-    found, largest = gathered(np.concatenate(rows), 20.0)
+    found, largest, into = gathered(np.concatenate(rows), 20.0)
     assert sorted(
         zip(found["case"].tolist(), found["frame"].tolist(), found["points"].tolist(), strict=True)
     ) == [
@@ -144,6 +144,7 @@ def test_patches_of_ground_near_each_other_are_one_case():
         (4, 0, 9),
     ]
     assert largest == {1: 50 / 65, 3: 40 / 47}
+    assert into == {0: 1, 2: 1, 5: 3}
     assert found["high"][found["case"] == 1].max() == pytest.approx(19.9)
-    none, nothing = gathered(np.concatenate(rows)[:0], 20.0)
+    none, nothing, _ = gathered(np.concatenate(rows)[:0], 20.0)
     assert (len(none), nothing) == (0, {})

@@ -43,7 +43,7 @@ def test_a_mover_in_a_touching_cell_counts_as_a_shared_cell(axis, side, cells, s
     mover[2] = np.nan  # ignored
     points, labels = np.concatenate([SPOT, mover]), np.repeat([0, 1], 3)
     (case,) = section(labelled_one_by_one(points, labels, [True] * 6))["cases"]
-    assert (case["cause"] == "shared cell") == shared
+    assert case["cause"].endswith("a mover in its cell") == shared
 
 
 def test_class_0_has_no_name_and_object_0_is_none():
@@ -108,8 +108,9 @@ def test_the_costliest_are_listed_and_the_others_summed():
     assert {case["points"] for case in found["cases"]} == {3}
     assert found["others"] == {"cases": 30, "points": 3 * 3 + 27}
     causes = found["causes"]["false_negative"]
-    assert list(causes) == ["height limit", "sparse rings"]
-    assert causes["height limit"] == {"cases": KEEP + 3, "points": 3 * (KEEP + 3)}
+    assert causes.pop("not listed, not measured") == found["others"]
+    assert sum(each["cases"] for each in causes.values()) == KEEP
+    assert sum(each["points"] for each in causes.values()) == 3 * KEEP
 
 
 def test_boxes_have_the_numbers_of_the_cases():
@@ -131,4 +132,4 @@ def test_a_level_surface_is_ground_below_the_sensor_only(z, what):
     (case,) = section(labelled(0, np.stack([x - 20, y + 7, np.full(len(x), z)], 1), 0, True))[
         "cases"
     ]
-    assert (case["what"], case["cause"]) == (what, "grazing rays")
+    assert (case["what"], case["cause"]) == (what, "cannot be told")

@@ -81,7 +81,7 @@ def test_removed_points_are_counted_by_reason_range_and_frame():
 
 def test_a_static_surface_looks_suspicious_and_a_mover_does_not(without_truth):
     clusters = {cluster["what"]: cluster for cluster in without_truth[0]["clusters"]}
-    road, car = clusters["ground"], clusters["moving object"]
+    road, car = clusters["ground"], clusters["moving car-sized object"]
     hole = next(
         cluster for cluster in without_truth[0]["clusters"] if "never_crossed" in cluster["reasons"]
     )

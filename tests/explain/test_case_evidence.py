@@ -98,18 +98,13 @@ def test_the_numbers_of_the_evidence_are_those_of_the_ledgers(recording: RunReco
                 assert TESTS[term.test](term.value, term.threshold) == found.removed
 
 
-def test_a_case_and_its_points_have_one_cause_which_the_measured_angles_decide(
+def test_a_case_and_its_points_have_one_cause(
     recording: RunRecording,
 ) -> None:
-    """The share that all sentences quote decides, and the rays that crossed its stored points
-    agree.
-    """
     meanings = {reason.name: reason.meaning.partition(": ")[2] for reason in recording.reasons}
     assert recording.result is not None
     for number, ledgers in cases(recording):
         case = recording.result.failures[number - 1]
-        crossing = [entry for ledger in ledgers for entry in ledger.entries if entry.crossed]
-        angles = [entry.angle_deg for entry in crossing if entry.angle_deg is not None]
         assert {cause_at(recording.result, ledger) for ledger in ledgers} == {case.cause}
         assert case.reason is not None
         assert case.sentence.lower().endswith(f"{meanings[case.reason].lower()}.")
@@ -124,14 +119,6 @@ def test_a_case_and_its_points_have_one_cause_which_the_measured_angles_decide(
             f"Rays meet {100 * (case.grazed or 0):.0f} % of its surface at less than {GRAZING:g}°."
         )
         assert evidence_text(ledgers, case).endswith(stated) == (case.grazed is not None)
-        if case.cause == Cause.GRAZING_RAYS:
-            assert (case.grazed or 0) > 0.5
-            assert median(angles) < GRAZING
-        if case.cause in (Cause.PARTLY_EMPTY, Cause.SPARSE_RINGS):
-            assert (case.grazed or 0) <= 0.5
-        if case.cause == Cause.PARTLY_EMPTY:
-            assert any(entry.hits for ledger in ledgers for entry in ledger.entries)
-            assert 2 * len(angles) < len(crossing) or median(angles) >= GRAZING
 
 
 # what a reason states, by the ledger alone

@@ -356,7 +356,7 @@ def test_the_case_over_time_moves_the_cursor(page: Page, cases: Any) -> None:
     number = next(k for k, case in enumerate(cases, 1) if case.kind == "false_negative")
     page.tab.click(f"#card-a-{number}")
     page.tab.wait_for_selector(
-        "#case .time rect.hit, #case .time rect.crossed"
+        "#case .time rect.hit, #case .time rect.through"
     )  # with the evidence
     drawn = page.tab.locator(
         "#case .time rect:is(.kept, .partly, .removed) title"

@@ -10,6 +10,7 @@ import numpy as np
 from dynaviz.contracts.method import Cause, MethodInfo, Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan
+from dynaviz.engine.looks import LookTables, answer
 from dynaviz_eval.failures import FailuresMetric
 
 INFO = MethodInfo(
@@ -39,8 +40,11 @@ def labelled(
 def section(*frames: Labelled) -> dict[str, Any]:
     """The section of these frames; checks that it is plain JSON."""
     metric = FailuresMetric(INFO)
+    tables = LookTables()
     for frame in frames:
         metric.update(frame)
+        tables.add(frame)
+    answer([metric], tables)
     found = metric.finish()["failures"]
     assert json.loads(json.dumps(found)) == found
     return dict(found)

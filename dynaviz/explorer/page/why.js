@@ -7,16 +7,17 @@ import { sliders } from './whatif.js'
 const POLL = 400 // ms
 const PATIENCE = 30 // seconds: a replay that takes longer waits for a click
 
-const LANES = { truth: ['moving', 'standing'], rays: ['hit', 'crossed'], answer: ['kept', 'partly', 'removed'] }
+const LANES = { truth: ['moving', 'standing'], looks: ['hit', 'through', 'hidden'], rays: ['hit', 'crossed'], answer: ['kept', 'partly', 'removed'] }
 
-/** The lanes of a case: its object, the rays that met its place, and the answer of each run. */
+/** The lanes of a case: its object, the looks at its place (of earlier runs, the rays that met it), and the answer of each run. */
 function lanesOf(card, runs, rays) {
   const lane = (name, from, spans) => ({ name, kind: card.kind, states: LANES[from].flatMap(state => (spans?.[state] ?? []).map(span => [state, ...span])) })
   const { moving = [], standing = [] } = card.spans
   const right = card.kind === 'ghost' ? { removed: [...moving, ...standing] } : undefined
   const spans = letter => letter === card.of ? card.spans : card.others[letter]?.spans ?? (card.by.includes(letter) ? undefined : right)
   const answers = Object.keys(runs).map(letter => lane(runs.b ? letter.toUpperCase() : 'answer', 'answer', spans(letter)))
-  return [lane('object', 'truth', card.spans), lane('rays', 'rays', rays), ...answers].filter(({ states }) => states.length)
+  const looks = lane('looks', 'looks', card.spans)
+  return [lane('object', 'truth', card.spans), looks.states.length ? looks : lane('rays', 'rays', rays), ...answers].filter(({ states }) => states.length)
 }
 
 /** The chosen case; its evidence follows when it was read. on: by letter and the rows of chosen points, if not all, as for PointPanel; goTo: a frame. */

@@ -18,7 +18,6 @@ from dynaviz import colours
 from dynaviz.arrays import F64, U8
 from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DynavizError, UsageError
-from dynaviz.explain.rays import spans_of_rays
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.spans import LANES, Span, lane
 from dynaviz.views import keys, paths, viewer
@@ -95,7 +94,7 @@ def case_span(recording: RunRecording, number: int) -> CaseSpan:
     frames = range(first, end, -(-(end - first) // MOST))
     failure = case if isinstance(case, FailureCase) else None
     outcome = OUTCOMES[failure.kind] if failure else Outcome.UNLABELLED_REMOVED
-    spans = {**(failure.spans if failure else {}), **spans_of_rays(recording.ledgers(number))}
+    spans = failure.spans if failure else {}
     lanes = {name: parts for name in LANES if (parts := lane(spans, name))}
     box = np.array(case.low), np.array(case.high)
     title = f"case {number}: {case.what}"

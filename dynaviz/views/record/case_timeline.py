@@ -68,7 +68,7 @@ class CaseTimeline:
         for case in self._cases:
             self._sink.at_case(case.number)
             self._text(f"{case.text}\n\n{HOW}")
-            self._lanes(case, ())
+            self._lanes(case)
 
     def write_curves(self, scores: Mapping[str, float | None]) -> None:
         """What each case costs, and the scores if the cases up to each were right, as curves over
@@ -134,7 +134,7 @@ class CaseTimeline:
             deciding.append(self._deciding(here, case))
             self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
             self._rays(rays.rays_of(found, rays.STRIPS))
-            self._lanes(case, found)
+            self._lanes(case)
             evidence = f"- **Evidence**: {evidence_text(found, case.failure)}\n" if found else ""
             self._text(f"{case.text}\n{evidence}{see(self._info, deciding[-1])}\n{HOW}")
             packed = stored_ledgers.pack(found)
@@ -194,12 +194,11 @@ class CaseTimeline:
             paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=touching.strips, class_ids=kinds)
         )
 
-    def _lanes(self, case: ShownCase, ledgers: Sequence[PointLedger]) -> None:
+    def _lanes(self, case: ShownCase) -> None:
         """The object or place of a case over time; on the timeline of frames."""
         if case.number > object_lanes.MOST or not case.spans:
             return
-        spans = {**case.spans, **rays.spans_of_rays(ledgers)}
-        parts = {name: lane(spans, name) for name in LANES}
+        parts = {name: lane(case.spans, name) for name in LANES}
         ghost = case.outcome == Outcome.FALSE_NEGATIVE
         for path, style, frames, states in object_lanes.lanes(
             case.number, case.title, ghost, parts

@@ -1,0 +1,151 @@
+"""Causes of failure cases: a decision list over looks, distances to movers, and the method's rule.
+
+Every criterion is in figures, and ``eval/README.md`` states them. The words are the same for all
+methods, and a method needs to declare nothing.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+
+from dynaviz.arrays import Intp
+from dynaviz.contracts.looks import CountedLooks, Look
+from dynaviz.contracts.method import Cause as Word
+from dynaviz.scores.looks import CaseLooks
+
+MOST = 0.5  # of the points or looks
+STOOD = 4  # times as many hits as passes: what was passed now and then still stood there
+FEW = 1  # other scans that hit a place in the median: it was seen in one or two scans
+IN_CELL = 0.5  # metres: a mover in the cell of a point, or in the next
+NEAR = 3.0  # metres: a mover in the bin or the cluster of a point
+
+
+class MeasuredCause(StrEnum):
+    """Why a case is wrong."""
+
+    # of dynamic points that were kept
+    STOOD = "stood there"
+    HIDDEN = "hidden"
+    BETWEEN = "between rays"
+    OUTSIDE = "outside of the view"
+    OUTWEIGHED = "seen through, but hits outweigh"
+    FORGOTTEN = "seen through before it came, not after"
+    DEMAND = "seen through, but the method demands more"
+    LIMIT = "seen through, but beyond a limit"
+    GROUND = "seen through, but taken for ground"
+    # of static points that were removed
+    NO_RAY_CELL = "no ray through most of it: a mover in its cell"
+    NO_RAY_MOVER = "no ray through most of it: a mover near"
+    NO_RAY = "no ray through most of it: no mover near"
+    BRIEF = "seen in one or two scans only"
+    GRAZING = "grazing rays"
+    POSES = "poses disagree"
+    THIN = "thin or rough"
+    OTHER_TIMES = "seen through at other times"
+    # of both
+    UNKNOWN = "cannot be told"
+
+
+RULES = {
+    Word.TAKEN_FOR_GROUND: MeasuredCause.GROUND,
+    Word.HEIGHT_LIMIT: MeasuredCause.LIMIT,
+    Word.OUT_OF_RANGE: MeasuredCause.LIMIT,
+}
+"""What a method's own word for the rule that kept a point says, if rays went through it."""
+
+
+def looks_of(seen: CountedLooks, rows: Intp) -> CaseLooks:
+    """The looks at the sampled points of a case, (K,) rows, K >= 1, of what was seen."""
+    counts = seen.counts[rows]
+    total = counts.sum(0)
+    through = seen.through[rows]
+    passes = int(through.sum())
+    every = max(int(total.sum()), 1)
+    share = [round(100.0 * float(count) / every, 1) for count in total]
+    known = seen.angle_known[rows]
+    passes_known = int(through[known].sum())
+
+    def of_passes(part: int, whole: int = passes) -> float | None:
+        return round(100.0 * part / whole, 1) if whole else None
+
+    mover = seen.mover[rows]
+    ever = seen.mover_ever[rows]
+    return CaseLooks(
+        points=len(rows),
+        hit=share[Look.HIT],
+        through=round(share[Look.THROUGH] + share[Look.GRAZING], 1),
+        hidden=share[Look.HIDDEN],
+        between=share[Look.BETWEEN],
+        outside=share[Look.OUTSIDE],
+        seen_through=round(100.0 * float(np.mean(through > 0)), 1),
+        hits=float(np.median(counts[:, Look.HIT])),
+        throughs=float(np.median(through)),
+        grazing=of_passes(int(total[Look.GRAZING]), passes_known),
+        close=of_passes(int(seen.close[rows].sum())),
+        before=of_passes(int(seen.before[rows].sum())),
+        after=of_passes(int(seen.after[rows].sum())),
+        surface=round(100.0 * float(known.mean()), 1),
+        mover=_metres(float(np.median(mover))),
+        mover_ever=_metres(float(np.median(ever))),
+    )
+
+
+def _metres(distance: float) -> float | None:
+    return round(distance, 2) if np.isfinite(distance) else None
+
+
+def cause_of(kind: str, looks: CaseLooks | None, word: Word | None = None) -> MeasuredCause:
+    """The cause of a case.
+
+    Args:
+        kind: ``false_negative`` or ``false_positive``.
+        looks: at its points; None if nothing was measured.
+        word: the method's own word for the rule that kept most of its points.
+    """
+    if looks is None:
+        return MeasuredCause.UNKNOWN
+    return _removed(looks) if kind == "false_positive" else _kept(looks, word)
+
+
+def _kept(looks: CaseLooks, word: Word | None) -> MeasuredCause:
+    """Why dynamic points were kept."""
+    stood = looks.hit >= STOOD * looks.through
+    stood &= looks.hit >= max(looks.hidden, looks.between)
+    if looks.seen_through >= 100 * MOST and not (stood and looks.hit):
+        if word in RULES:
+            return RULES[word]
+        if looks.hit >= looks.through:
+            return MeasuredCause.OUTWEIGHED
+        if looks.before is not None and looks.before >= 100 * MOST and looks.hits >= 1:
+            return MeasuredCause.FORGOTTEN
+        return MeasuredCause.DEMAND
+    known = {
+        MeasuredCause.STOOD: looks.hit,
+        MeasuredCause.HIDDEN: looks.hidden,
+        MeasuredCause.BETWEEN: looks.between,
+    }
+    most = max(known, key=lambda name: known[name])
+    if known[most] == 0:
+        return MeasuredCause.OUTSIDE if looks.outside else MeasuredCause.UNKNOWN
+    return most
+
+
+def _removed(looks: CaseLooks) -> MeasuredCause:
+    """Why static points were removed."""
+    if looks.hit + looks.through + looks.hidden == 0 and looks.mover is None:
+        return MeasuredCause.UNKNOWN
+    if looks.seen_through < 100 * MOST:
+        if looks.mover is None or looks.mover > NEAR:
+            return MeasuredCause.NO_RAY
+        return MeasuredCause.NO_RAY_CELL if looks.mover <= IN_CELL else MeasuredCause.NO_RAY_MOVER
+    if looks.hits <= FEW:
+        return MeasuredCause.BRIEF
+    if looks.grazing is not None and looks.grazing > 100 * MOST:
+        return MeasuredCause.GRAZING
+    smooth = looks.surface >= 100 * MOST
+    if smooth and looks.close is not None and looks.close >= 100 * MOST:
+        return MeasuredCause.POSES
+    apart = (looks.before or 0.0) + (looks.after or 0.0)
+    return MeasuredCause.OTHER_TIMES if apart > 100 * MOST else MeasuredCause.THIN
