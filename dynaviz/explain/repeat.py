@@ -16,6 +16,7 @@ from dynaviz.engine.loop import Clock, RunSpec, context_of, labelled_by
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.explain.ledger import Ledger
 from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.explain.sample import Witnesses
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.summary import summarize
 
@@ -40,6 +41,7 @@ def repeat(
     asked: Sequence[tuple[int, Sequence[int]]],
     *,
     whole: bool = False,
+    witnesses: Witnesses | None = None,
     progress: Progress = silent,
 ) -> Repeated:
     """Let the labeller of a run see all scans again, and keep the ledgers of points.
@@ -51,6 +53,7 @@ def repeat(
         run: its labeller forgets what it knows, and then knows it again.
         asked: frames with rows of their scans; a frame may occur several times.
         whole: observe and label everything.
+        witnesses: of drawn points; they are asked after each scan.
         progress: called with a phase, the number of frames done and their total.
 
     Raises:
@@ -72,13 +75,16 @@ def repeat(
     one_pass = run.online or method is None
     # From the first on, as in a run, so that no method takes the scan that it observed last for
     # that of an online run.
-    chosen = range(total) if whole or one_pass else sorted({0, *rows})
+    drawn = [] if witnesses is None else witnesses.frames
+    chosen = range(total) if whole or one_pass else sorted({0, *rows, *drawn})
     clock = Clock()
     answer = PackedBits()
     begin = time.perf_counter()
     kernels.set_threads(run.threads)
     run.labeller.begin(context_of(run, summary, SILENT))
     ledger.begin(run, summary)
+    if witnesses is not None:
+        witnesses.begin(sequence)
 
     def observe(frame: int, scan: Scan) -> None:
         assert method is not None
@@ -87,9 +93,11 @@ def repeat(
         if frame in chosen:
             clock.timed(len(clock.frames), method.observe, seen)
         else:
-            needed = ledger.needed(seen)
+            needed = ledger.needed(seen) if witnesses is None else None
             method.observe(seen if needed is None else seen.chosen(needed))
         ledger.observed(frame)
+        if witnesses is not None:
+            witnesses.observed(run.labeller)
         progress("observe", frame + 1, total)
 
     def label(number: int, frame: int, scan: Scan) -> None:
@@ -97,6 +105,8 @@ def repeat(
         labelled = labelled_by(run, near, frame, scan, timed)
         answer.append(labelled.dynamic)
         ledger.labelled(labelled, {})
+        if witnesses is not None:
+            witnesses.labelled(labelled, run.labeller, run.online)
         progress("label", number + 1, len(chosen))
 
     for frame, scan in enumerate(stream(sequence)):

@@ -1,17 +1,14 @@
-"""The ledgers of one or several points as the page draws them.
-
-Frame by frame, and what the parameters would change.
-"""
+"""The ledgers of one or several points as the page draws them, frame by frame."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Sequence, Set
 from statistics import median
 from typing import Any
 
 from dynaviz.explain.deciding import decided_by
-from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue
+from dynaviz.explain.point_ledger import LedgerEntry, PointLedger, QuantityInfo
 from dynaviz.explain.words import BOUNDS
 
 
@@ -84,64 +81,3 @@ def _quantity(quantities: Sequence[QuantityInfo], terms: Set[str]) -> QuantityIn
         quantities,
     )
     return next((found[0] for found in order if found), None)
-
-
-def what_if(ledgers: Sequence[PointLedger], parameters: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What the page needs to judge the points again with other parameters.
-
-    None if no parameter enters directly.
-
-    Args:
-        ledgers: at least one.
-        parameters: of the run.
-    """
-    sums = [q for q in ledgers[0].quantities if q.steps]
-    summed = {q.name for q in sums}
-    names = [parameter for q in sums for _, parameter in q.steps] + [
-        limit for q in sums for limit in q.limits
-    ]
-    rules = [rule for ledger in ledgers for rule in ledger.rules if _replayed(rule)]
-    names += [term.parameter for rule in rules for term in rule.terms if term.parameter]
-    names = [name for name in dict.fromkeys(names) if isinstance(parameters.get(name), int | float)]
-    if not names:
-        return None
-    probabilities = {
-        name for q in sums for name in (*(parameter for _, parameter in q.steps), *q.limits)
-    }
-    return {
-        "parameters": [
-            {"name": name, "value": parameters[name], "probability": name in probabilities}
-            for name in names
-        ],
-        "sums": [{"name": q.name, "steps": q.steps, "limits": q.limits} for q in sums],
-        "points": [
-            {
-                "steps": [entry.steps for entry in ledger.entries if entry.steps] if summed else [],
-                "rules": [_rule(rule) for rule in ledger.rules],
-            }
-            for ledger in ledgers
-        ],
-    }
-
-
-def _replayed(rule: RuleValue) -> bool:
-    """Whether the last numbers decide a rule, so that it can be judged again."""
-    return rule.frame is None
-
-
-def _rule(rule: RuleValue) -> dict[str, Any]:
-    terms = [
-        {
-            "name": t.name,
-            "value": t.value,
-            "test": t.test,
-            "threshold": _finite(t.threshold),
-            "parameter": t.parameter,
-        }
-        for t in rule.terms
-    ]
-    return {"holds": rule.holds, "terms": terms if _replayed(rule) else []}
-
-
-def _finite(value: float) -> float | None:
-    return None if value != value else value

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shlex
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, cast
 
+import msgspec
 import numpy as np
 
 from dynaviz.contracts.scan import Outcome
@@ -18,9 +20,10 @@ from dynaviz.errors import UsageError
 from dynaviz.explain.case_evidence import evidence_text
 from dynaviz.explain.deciding import decided_by
 from dynaviz.explain.document import Why
+from dynaviz.explain.judging import numbers_of, of_ledgers, parameters_of
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.rays import TouchingRays, rays_of, spans_of_rays
-from dynaviz.explain.strip import strip, what_if
+from dynaviz.explain.strip import strip
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.reruns import Rerun
@@ -86,6 +89,8 @@ class Explored:
             "point": self._point,
             "why": self._why,
             "evidence": self._evidence,
+            "judge": self._judge,
+            "dial": self._turn,
             "run": self._rerun_state,
             "rescored": self._rescored,
         }
@@ -187,7 +192,7 @@ class Explored:
             **why.to_dict(),
             "decided": None if rule is None else rule.name,
             "strip": strip([why.ledger]),
-            "what_if": what_if([why.ledger], self.runs[letter].result.parameters),
+            "what_if": self._what_if(letter, [why.ledger]),
         }
 
     def _evidence(self, query: Query) -> dict[str, Any]:
@@ -205,8 +210,52 @@ class Explored:
             "text": evidence_text(ledgers, None if "points" in query else card.failure),
             "strip": strip(ledgers),
             "spans": spans_of_rays(ledgers),
-            "what_if": what_if(ledgers, run.result.parameters),
+            "what_if": self._what_if(letter, ledgers),
             "map": cards.surroundings(run, card, ledgers),
+        }
+
+    def _what_if(self, letter: str, ledgers: Sequence[PointLedger]) -> dict[str, Any] | None:
+        """Sliders for points, at least one; None if no parameter enters their evidence."""
+        run = self.runs[letter]
+        given = numbers_of(run.result.parameters)
+        judged = of_ledgers(ledgers, given)
+        known = {each.name: each for each in run.sliders}
+        found = [
+            known.get(each.name, each) for each in parameters_of(judged.names, judged.sums, given)
+        ]
+        if not found:
+            return None
+        return {
+            "parameters": [msgspec.structs.asdict(each) for each in found],
+            "points": len(ledgers),
+            "removed": int(judged.removed.sum()),
+        }
+
+    def _judge(self, query: Query) -> dict[str, int]:
+        """How many points with stored evidence would be removed with other parameters."""
+        letter = self._letter(query)
+        if "case" in query:
+            ledgers = self._chosen(letter, query)
+        else:
+            ledgers = self._known(letter, _number(query, "frame"), _number(query, "point"))
+        if not ledgers:
+            raise UsageError("no evidence is stored on these points")
+        given = numbers_of(self.runs[letter].result.parameters)
+        removed = of_ledgers(ledgers, given).judge(_settings(query, given), given)
+        return {"removed": int(removed.sum())}
+
+    def _turn(self, query: Query) -> dict[str, Any]:
+        """A run with other parameters, as far as its recording tells; empty without a sample."""
+        run = self.runs[self._letter(query)]
+        dial = run.dial
+        if dial is None:
+            return {}
+        turned = dial.turn(_settings(query, dial.sample.given))
+        return {
+            "parameters": [msgspec.structs.asdict(each) for each in dial.sample.parameters],
+            "scores": {name: dataclasses.asdict(each) for name, each in turned.scores.items()},
+            "cases": {case.number: case.cost for case in turned.cases},
+            "text": turned.text,
         }
 
     def _chosen(self, letter: str, query: Query) -> list[PointLedger]:
@@ -225,10 +274,7 @@ class Explored:
         running = self._reruns[-1].state.keys() if self._reruns else {"url"}
         if "phase" in running:
             raise UsageError("a run is in progress. Wait until it has finished")
-        try:
-            settings = json.loads(query["settings"])
-        except (KeyError, ValueError):
-            raise UsageError("settings: give a JSON object") from None
+        settings = _object(query)
         run = self.runs[self._letter(query)]
         self._reruns.append(Rerun(run, settings, lambda other: self.compare(run, other)))
         return self._reruns[-1].state
@@ -345,9 +391,13 @@ class Explored:
 
     def _rays(self, letter: str, frame: int, point: int) -> TouchingRays:
         """The rays of the ledger of a point, if that is known."""
+        return rays_of(self._known(letter, frame, point))
+
+    def _known(self, letter: str, frame: int, point: int) -> list[PointLedger]:
+        """The ledger of a point, or of one near it, if that is known."""
         computed = self._ledgers.known(letter, frame, point)
         stored = self.runs[letter].stored(frame, point)
-        return rays_of([computed.ledger] if computed else [stored[0]] if stored else [])
+        return [computed.ledger] if computed else [stored[0]] if stored else []
 
     def _draw(self, query: Query) -> bytes:
         """The case in its worst frame, drawn at once, before the viewer has loaded."""
@@ -391,6 +441,26 @@ def _extent(run: ExploredRun) -> tuple[Any, Any]:
         return np.full(3, -10.0), np.full(3, 10.0)
     low, high = np.nanquantile(drawn.xyz.astype(np.float64), [0.05, 0.95], axis=0)
     return low, high
+
+
+def _object(query: Query) -> dict[str, Any]:
+    """The settings in a query."""
+    try:
+        found = json.loads(query["settings"])
+    except (KeyError, ValueError):
+        found = None
+    if not isinstance(found, dict):
+        raise UsageError("settings: give a JSON object")
+    return found
+
+
+def _settings(query: Query, given: Mapping[str, float]) -> dict[str, float]:
+    """Other values of parameters that are numbers."""
+    found = _object(query)
+    for name, value in found.items():
+        if name not in given or not isinstance(value, int | float):
+            raise UsageError(f"settings: {name}: give a number for one of {', '.join(given)}")
+    return found
 
 
 def _number(query: Query, name: str) -> int:

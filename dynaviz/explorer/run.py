@@ -17,7 +17,9 @@ from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.errors import DataError, UsageError
+from dynaviz.explain.dial import Dial
 from dynaviz.explain.document import sentence
+from dynaviz.explain.judging import Parameter
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.frame_answers import FrameAnswers
@@ -113,6 +115,20 @@ class ExploredRun:
         """
         measured = self.recording.properties.get("repeat_s")
         return None if measured is None else float(measured) + START
+
+    @cached_property
+    def dial(self) -> Dial | None:
+        """Turns the parameters of the run; None if its recording has no sample of points."""
+        sample = self.recording.sample
+        if sample is None:
+            return None
+        cases = self.result.failures
+        return Dial(sample, cases, [self.ledgers(case) for case in range(1, len(cases) + 1)])
+
+    @property
+    def sliders(self) -> tuple[Parameter, ...]:
+        """Those of the whole run, none without a sample."""
+        return () if self.recording.sample is None else self.recording.sample.parameters
 
     @property
     def title(self) -> str:

@@ -41,6 +41,7 @@ SCRIPTS = (
     "main.js",
     "cards.js",
     "correct.js",
+    "dial.js",
     "dom.js",
     "keys.js",
     "plot.js",

@@ -54,6 +54,7 @@ class Findings:
             track.
         state: name of the state to show first, or None.
         reasons: paths of the curves of reasons to show; None for all.
+        turned: whether it is known what other parameters would change.
     """
 
     truth: bool = True
@@ -61,6 +62,7 @@ class Findings:
     tracked: Mapping[str, F32] = field(default_factory=dict)
     state: str | None = None
     reasons: tuple[str, ...] | None = None
+    turned: bool = False
 
 
 def layout(info: MethodInfo, extent: Extent, geometry: bool, found: Findings) -> rrb.Blueprint:
@@ -132,6 +134,7 @@ def _text(found: Findings) -> Any:
     others = rrb.Tabs(
         rrb.TextDocumentView(name="report", origin=paths.REPORT, contents=[paths.REPORT]),
         rrb.TextLogView(name="log", origin=paths.LOG),
+        *([_what_if()] if found.turned else []),
     )
     cases = rrb.TextDocumentView(
         name="failures" if found.truth else "suspicious", origin=paths.FAILURE_LIST
@@ -142,6 +145,18 @@ def _text(found: Findings) -> Any:
         name="what and why", origin=paths.CASE_TEXT, contents=[paths.CASE_TEXT]
     )
     return rrb.Vertical(case, cases, others, row_shares=[9, 8, 5])
+
+
+def _what_if() -> Any:
+    """A table of other parameters, and curves over the timeline of their values."""
+    table = rrb.TextDocumentView(
+        name="other parameters", origin=paths.WHAT_IF, contents=[paths.WHAT_IF]
+    )
+    curves = _curves(
+        "scores, on the timeline what_if", [f"{paths.WHAT_IF_SCORE}/**"], rrb.Corner2D.LeftBottom
+    )
+    value = rrb.TextDocumentView(name="value", origin=paths.WHAT_IF_VALUE)
+    return rrb.Vertical(table, value, curves, name="what if", row_shares=[5, 1, 3])
 
 
 def _tabs(info: MethodInfo, found: Findings) -> list[Any]:

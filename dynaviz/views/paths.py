@@ -51,6 +51,10 @@ CASE_TEXT = "case"  # Markdown: what happened, and why
 CASE_COST = "case_cost"  # curves over the timeline of cases: what each costs
 CASE_SCORE = "case_score"  # the same: scores if the cases up to each were right
 
+WHAT_IF = "what_if"  # timeline: values of parameters; entity: Markdown, what they would change
+WHAT_IF_VALUE = "what_if/value"  # the same in one line, at the index of a value
+WHAT_IF_SCORE = "what_if/score"  # curves: estimated scores and their whiskers
+SAMPLE = "what_if/sample"  # points that can be judged again, packed; not displayed
 ANSWERS = "answers"  # label, ground truth and reason of every point, lossless; not displayed
 SCORES = "scores"
 WRONG = "scores/wrong_points"

@@ -13,6 +13,7 @@ from dynaviz.arrays import U8
 from dynaviz.explain.point_ledger import PointLedger
 
 ARCHETYPE = "dynaviz.Ledgers"
+SAMPLE = "dynaviz.Sample"  # of dynaviz.explain.dial
 COMPONENT = "packed"
 MOST_BYTES = 5_000_000  # of all ledgers in a recording; those of the last cases are left out
 
@@ -45,6 +46,6 @@ def rows(packed: U8) -> list[int]:
     return [each.point for each in _rows.decode(zlib.decompress(packed.tobytes()))]
 
 
-def component(packed: bytes) -> rr.DynamicArchetype:
-    """Packed ledgers, to log."""
-    return rr.DynamicArchetype(ARCHETYPE, components={COMPONENT: np.frombuffer(packed, np.uint8)})
+def component(packed: bytes, archetype: str = ARCHETYPE) -> rr.DynamicArchetype:
+    """Packed ledgers, or a packed sample, to log."""
+    return rr.DynamicArchetype(archetype, components={COMPONENT: np.frombuffer(packed, np.uint8)})

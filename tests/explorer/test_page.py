@@ -339,17 +339,57 @@ def test_sliders_judge_the_stored_points_again(page: Page, cases: Any) -> None:
         const input = document.querySelector(`#case .sliders input[name=${name}]`)
         input.value = value
         input.dispatchEvent(new Event('input'))
-        return document.querySelector('#case .result').textContent
     }"""
+
+    def result() -> str:
+        page.wait("!document.body.hasAttribute('data-busy')")
+        return str(page.tab.text_content("#case .result"))
+
     points = page.tab.evaluate(
         "async () => (await (await fetch('api/evidence?run=a&case=1')).json()).strip.points"
     )
-    never = page.tab.evaluate(set_to, ["prob_miss", 0.5])  # a crossing then counts nothing
+    highest = page.tab.evaluate("document.querySelector('#case input[name=prob_miss]').max")
+    assert float(highest) < 0.5  # beyond it, a miss would count as a hit
+    page.tab.evaluate(set_to, ["prob_miss", 0.49])  # a crossing then counts next to nothing
+    never = result()
     assert never.startswith(f"0 of {points} points would be removed")
     removed = cases[0].kind == "false_positive"
     assert f"; {points if removed else 0} are." in never
     assert "The case would cost" in never
-    assert page.tab.evaluate(set_to, ["prob_miss", 0.4]) == ""  # as it is
+    page.tab.evaluate(set_to, ["prob_miss", 0.4])  # as it is
+    assert result() == ""
+
+
+def test_the_dial_moves_the_scores_and_orders_the_cards(page: Page, cases: Any) -> None:
+    page.tab.click("#dial summary")
+    before = page.tab.text_content("#cards .head")
+    page.tab.evaluate("""() => {
+        const input = document.querySelector('#dial input[name=prob_miss]')
+        input.value = 0.49
+        input.dispatchEvent(new Event('input'))
+    }""")
+    page.tab.wait_for_selector("#cards .would")
+    text = str(page.tab.text_content("#dial .result"))
+    assert text.startswith("prob_miss 0.49: SA ")
+    assert f" of {page.tab.locator('#cards .would').count()} listed cases repaired" in text
+    expected = page.tab.evaluate(
+        "async () => (await (await fetch('api/dial?run=a&settings={\"prob_miss\":0.49}')).json())"
+    )
+    costs = expected["cases"]
+    order = page.tab.evaluate(
+        "[...document.querySelectorAll('.card')].map(card => card.id.split('-')[2])"
+    )
+    known = [costs[number] for number in order if number in costs]
+    assert known == sorted(known, reverse=True)
+    worse = [n for n, cost in costs.items() if cost > cases[int(n) - 1].cost]
+    assert page.tab.locator("#cards .would.worse").count() == len(worse)
+    page.tab.evaluate("""() => {
+        const input = document.querySelector('#dial input[name=prob_miss]')
+        input.value = 0.4
+        input.dispatchEvent(new Event('input'))
+    }""")
+    page.wait("!document.querySelector('#cards .would')")
+    assert page.tab.text_content("#cards .head") == before
 
 
 def test_the_case_over_time_moves_the_cursor(page: Page, cases: Any) -> None:

@@ -40,15 +40,18 @@ const wrongIn = (by, count) => by.length < count ? `only ${[...by.toUpperCase()]
 export const worth = card => Math.max(...[card, ...Object.values(card.others ?? {})].map(({ cost, suspicion, points }) => cost ?? (suspicion ?? 1) * points))
 const ORDER = { cost: (a, b) => worth(b) - worth(a) || a.number - b.number, size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
 
-/** The cards that pass the filters of a state, in its order. */
-export function chosen(cards, state) {
+/** The cards that pass the filters of a state, in its order; turned: what cases would cost with other parameters, by number. */
+export function chosen(cards, state, turned) {
   const search = (state.search ?? '').toLowerCase().split(/\s+/).filter(Boolean)
   const text = card => `${card.title} ${card.sentence} ${card.cause ?? ''} ${card.behaviour ?? ''} ${Object.keys(card.reasons).join(' ')}`.toLowerCase()
   return cards
     .filter(card => Object.entries(FILTERS).every(([name, [, values]]) => !state[name] || values(card).includes(state[name])))
     .filter(card => search.every(word => text(card).includes(word)))
-    .sort(ORDER[state.sort] ?? ORDER.cost)
+    .sort(turned && (state.sort ?? 'cost') === 'cost' ? (a, b) => would(b, turned) - would(a, turned) || a.number - b.number : ORDER[state.sort] ?? ORDER.cost)
 }
+
+/** What a case would cost; as now, if its recording does not say. */
+const would = (card, turned) => turned[card.number] ?? worth(card)
 
 /** The form of filters; only those with a choice are shown. */
 export function filters(form, cards, runs, state, changed) {
@@ -81,8 +84,8 @@ const costs = (card, runs, most) => Object.keys(runs).map(letter => {
 
 const span = card => card.first === card.last ? `frame ${card.first}` : `frames ${card.first}–${card.last}`
 
-/** A card: what, what it costs, why, where and when; of several runs with the cost of each, `most` for the longest bar. */
-export function cardElement(card, runs, most, open, corrected) {
+/** A card: what, what it costs, why, where and when; of several runs with the cost of each, `most` for the longest bar; cost: with other parameters. */
+export function cardElement(card, runs, most, open, corrected, cost) {
   const { frames } = runs.a, several = Boolean(runs.b)
   const bins = card.spark.length, worst = Math.floor(card.worst * bins / Math.max(frames, 1))
   return make('li', { id: `card-${card.of}-${card.number}`, class: `card ${card.kind}`, tabindex: 0, click: () => open(card), keydown: event => event.key === 'Enter' && open(card) },
@@ -91,6 +94,7 @@ export function cardElement(card, runs, most, open, corrected) {
       make('p', { class: 'head' }, `${card.number} ${card.title}`),
       make('p', { class: 'cause' }, !several && make('span', { class: 'cost' }, `${chip(card)} `), `${card.cause ?? Object.keys(card.reasons).slice(0, 2).map(words).join(', ')}`),
       make('p', { class: 'where', title: `${whole(card.points)} points` }, `${card.range.toFixed(0)} m away, ${span(card)}`),
+      cost !== undefined && make('p', { class: `would ${cost < card.cost ? 'better' : cost > card.cost ? 'worse' : ''}` }, `would cost −${cost.toFixed(2)} % ${card.metric}`),
       corrected && make('p', { class: 'by' }, `corrected: ${corrected}`),
       several && costs(card, runs, most), several && make('p', { class: 'by' }, wrongIn(card.by, Object.keys(runs).length)),
       sparkline(card.spark, worst)))

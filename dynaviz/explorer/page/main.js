@@ -2,6 +2,7 @@
 import { allCards, cardElement, chosen, differs, filters, worth } from './cards.js'
 import { ask, make, say, send, working } from './dom.js'
 import { correction, rescored } from './correct.js'
+import { showDial } from './dial.js'
 import { listen } from './keys.js'
 import { button, buttons, copy } from './share.js'
 import { change, current, read } from './state.js'
@@ -15,7 +16,7 @@ const LEGEND_UNLABELLED = [['cluster', 'removed'], ['static', 'kept']]
 const LEGEND_CHANGES = [['cluster', 'appeared or disappeared'], ['static', 'seen again, or not seen']]
 const VIEWERS = 2 // of the first runs; the others are asked about the same points
 const viewers = {}
-let runs, cards, panel, list = []
+let runs, cards, panel, turned = null, list = []
 
 async function start() {
   const state = read()
@@ -29,6 +30,7 @@ async function start() {
   panel = new PointPanel(by('point'), runs, letter => mark(letter), letter => scansOf(letter, pointShown))
   showList()
   for (const letter of Object.keys(runs)) rescored(letter, runs[letter], headings)
+  if (!runs.b) showDial(by('dial'), 'a', { turned: turn, start: settings => startRun('a', settings) }).catch(error => say(error.message))
   const first = find(state.of, state.case) ?? list[0]
   if (first) change({ of: first.of, case: first.number })
   showCard()
@@ -56,11 +58,11 @@ const find = (of, number) => cards.find(card => card.of === of && card.number ==
 const selected = () => find(current().of, current().case)
 
 function showList() {
-  list = chosen(cards, current())
+  list = chosen(cards, current(), turned)
   const most = Math.max(...cards.map(worth))
   const unit = cards.some(card => card.cost !== null) ? 'cases' : cards.some(differs) ? 'changes' : 'clusters of removed points'
   by('count').textContent = `${list.length === cards.length ? '' : `${list.length} of `}${cards.length} ${unit}`
-  by('cards').replaceChildren(...list.map(card => cardElement(card, runs, most, open, runs[card.of].corrections[card.number])))
+  by('cards').replaceChildren(...list.map(card => cardElement(card, runs, most, open, runs[card.of].corrections[card.number], turned?.[card.number])))
   highlight()
 }
 
@@ -76,6 +78,12 @@ function showCard() {
   highlight()
   showCase(by('case'), card, runs, card && buttons(card, runs[card.of]), card && correction(card, runs[card.of], { changed: corrected, scored: headings }),
     (letter, points) => scansOf(letter, () => ({ case: card.number, ...(points && { points }) })), goTo)
+}
+
+/** With other parameters, each card states what it would cost. */
+function turn(costs) {
+  turned = costs
+  showList()
 }
 
 /** After a correction, the card and the point state the corrected truth. */

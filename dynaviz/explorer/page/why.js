@@ -51,7 +51,7 @@ export function showCase(element, card, runs, buttons, correction, on, goTo) {
     const strip = make('div', { class: 'ledger' }), flip = make('div')
     const show = ({ text, strip: scans, what_if: whatIf }, points) => {
       strip.replaceChildren(make('p', { class: 'evidence' }, text), scanStrip(scans, run.frames, on(card.of, points)))
-      flip.replaceChildren(...(whatIf ? [sliders(whatIf, points ? null : card, settings => on(card.of).start(settings))] : []))
+      flip.replaceChildren(...(whatIf ? [sliders(whatIf, { run: card.of, case: card.number, ...(points && { points }) }, points ? null : card, settings => on(card.of).start(settings))] : []))
     }
     show(found)
     let latest // of several rectangles, the last one counts
@@ -165,7 +165,7 @@ export class PointPanel {
       first && make('ul', { class: 'rules' }, ruleElement(first)),
       strip.scans.length > 0 && scanStrip(strip, this.runs[letter].frames, on),
       deciding.length > 0 && decidingTable(deciding, ledger.frame),
-      whatIf && sliders(whatIf, null, on.start),
+      whatIf && sliders(whatIf, { run: letter, frame: ledger.frame, point: ledger.point }, null, on.start),
       rest.length > 0 && make('details', {}, make('summary', {}, `${rest.length} other rule${rest.length > 1 ? 's' : ''}`), make('ul', { class: 'rules' }, rest.map(ruleElement))),
       make('details', {}, make('summary', {}, `All ${ledger.entries.length} scans`), scanTable(ledger)),
     ].filter(Boolean)

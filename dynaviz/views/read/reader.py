@@ -25,6 +25,7 @@ from dynaviz.arrays import F32, F64, I64, U8
 from dynaviz.contracts.method import Cause, Reason
 from dynaviz.contracts.scan import Outcome, outcomes
 from dynaviz.errors import DataError, DynavizError
+from dynaviz.explain.dial import PointSample, unpack
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.scores.comparison.frame_answers import ARCHETYPE, FrameAnswers
 from dynaviz.scores.result import Result
@@ -236,6 +237,9 @@ class AnyRecording:
         return kind, properties
 
 
+SAMPLE = f"{stored_ledgers.SAMPLE}:{stored_ledgers.COMPONENT}"
+
+
 class RunRecording(AnyRecording):
     """A recording of a run.
 
@@ -346,6 +350,17 @@ class RunRecording(AnyRecording):
         """
         with self.decoding():
             return stored_ledgers.rows(self._packed[case]) if case in self._packed else []
+
+    @functools.cached_property
+    def sample(self) -> PointSample | None:
+        """The points that can be judged again; None if there are none, as in earlier recordings.
+
+        Raises:
+            DataError: for damaged content.
+        """
+        packed = self.static(paths.SAMPLE).get(SAMPLE)
+        with self.decoding():
+            return None if packed is None else unpack(packed)
 
     @functools.cached_property
     def _packed(self) -> dict[int, U8]:

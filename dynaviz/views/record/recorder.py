@@ -16,13 +16,17 @@ import rerun as rr
 
 from dynaviz import colours
 from dynaviz.arrays import F32, F64, I64, Bool, Intp
+from dynaviz.contracts.evidence import Asked
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.errors import PluginError, UsageError
+from dynaviz.explain.dial import PointSample
+from dynaviz.explain.judging import Judgeable, accepts, numbers_of, parameters_of
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.repeat import repeat
+from dynaviz.explain.sample import Draw, Drawn, Witnesses, enters
 from dynaviz.io.atomic import sha256
 from dynaviz.scores.comparison import frame_answers
 from dynaviz.scores.result import RecordMode, Result, environment
@@ -31,7 +35,7 @@ from dynaviz.views import cases, classes, keys, paths, viewer
 from dynaviz.views.background import Background
 from dynaviz.views.curves import Curves
 from dynaviz.views.layout import Findings, layout
-from dynaviz.views.record import sink, states
+from dynaviz.views.record import sink, states, turns
 from dynaviz.views.record.budget import Budget
 from dynaviz.views.record.case_timeline import CaseTimeline
 from dynaviz.views.record.quota import Quota
@@ -89,6 +93,8 @@ class Recorder(Listener):
         # Without states, the runtime of the method is reported as honest, so nothing else may run
         # next to it.
         self._background = Background(inline=mode == "scores")
+        self._draw: Draw | None = None
+        self._sample: PointSample | None = None
 
     def __enter__(self) -> Recorder:
         return self
@@ -126,6 +132,7 @@ class Recorder(Listener):
         self._summary = summary
         drawn = self.mode != "scores"
         self._positions: list[F64] = []
+        self._given = numbers_of(dataclasses.asdict(run.params))
         self._quota = Quota(
             self._budget, summary.points, summary.frames, run.method is not None and not run.online
         )
@@ -161,6 +168,7 @@ class Recorder(Listener):
 
     def observed(self, frame: int) -> None:
         """Draw the states emitted by ``observe``, in the background."""
+        self._open_draw(frame, self._scan)
         if self._queue:
             self._background.run(self._write_states, frame, self._scan, self._taken())
 
@@ -174,7 +182,20 @@ class Recorder(Listener):
         kept = dataclasses.replace(
             labelled, dynamic=labelled.dynamic.copy(), reasons=labelled.reasons.copy()
         )
+        self._open_draw(labelled.frame, labelled.scan)
         self._background.run(self._write_frame, kept, dict(curves), self._taken())
+
+    def _open_draw(self, frame: int, scan: Scan) -> None:
+        """Have points drawn if they can be judged again with other parameters.
+
+        Called right after the first scan was observed, and right after it was labelled.
+        """
+        known = self._run.sequence.has_labels and self._rows is None and self._scene is not None
+        if frame or not known or self._draw is not None:
+            return
+        one = Asked(scan.without_truth(), np.arange(min(len(scan), 1)), 0)
+        if enters(self._run.labeller, one, self._given):
+            self._draw = Draw(self._summary.frames)
 
     def _taken(self) -> list[tuple[State, Value]]:
         """The queued states, with copies of their arrays, because the method may change them during
@@ -208,6 +229,8 @@ class Recorder(Listener):
         self._open.log(
             paths.ANSWERS, rr.DynamicArchetype(frame_answers.ARCHETYPE, components=packed)
         )
+        if self._draw is not None:
+            self._draw.add(labelled)
         wrong = self._outcomes.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
         for path, count in self._counts(labelled, wrong):
             self._curves.add(path, labelled.frame, scan.stamp_ns, count)
@@ -266,7 +289,17 @@ class Recorder(Listener):
             return Findings(truth, True, reasons=curves)
         repeat = partial(self._repeat, result.labels)
         state, tracked = timeline.draw(repeat, self._members, np.array(self._positions), boxes)
-        return Findings(truth, True, tracked, state, curves)
+        if self._sample is not None:
+            turns.write(self._open, self._sample)
+        return Findings(truth, True, tracked, state, curves, self._sample is not None)
+
+    def _sampled(self, drawn: Drawn, judged: Judgeable | None) -> PointSample | None:
+        """Drawn points that can be judged again; None if no parameter can be turned."""
+        if judged is None:
+            return None
+        fits = accepts(self._run.params)
+        turned = parameters_of(judged.names, judged.sums, self._given, fits)
+        return PointSample(drawn, judged, tuple(turned), self._given) if turned else None
 
     def _members(self, case: cases.ShownCase, rows: I64) -> Bool:
         """(K,) bool: which rows of the recorded points in its worst frame belong to a case."""
@@ -288,9 +321,13 @@ class Recorder(Listener):
             asked = [
                 (frame, self._rows(scans[frame])[list(rows)].tolist()) for frame, rows in asked
             ]
+        witnesses = None
+        drawn = None if self._draw is None else self._draw.drawn()
+        if self._draw is not None and drawn is not None:
+            witnesses = Witnesses(drawn, self._draw.first, self._given)
         try:
             run = dataclasses.replace(self._run, summary=self._summary)
-            repeated = repeat(run, asked)
+            repeated = repeat(run, asked, witnesses=witnesses)
             for each in (each for ledgers in repeated.ledgers for each in ledgers):
                 if each.removed != labels[each.frame][each.point]:
                     name = self._info.name
@@ -302,6 +339,8 @@ class Recorder(Listener):
             self._say(f"no evidence: {error}")
             return [()] * len(asked)
         self._open.properties(repeat_s=round(repeated.seconds, 3))
+        if drawn is not None and witnesses is not None:
+            self._sample = self._sampled(drawn, witnesses.judged())
         return [
             tuple(
                 dataclasses.replace(each, point=row, case=case)

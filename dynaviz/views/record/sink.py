@@ -113,11 +113,13 @@ class RecordingFile:
         for stream in self._streams:
             stream.send_columns(path, indexes=times, columns=columns)
 
-    def case_columns(self, path: str, numbers: Sequence[int], columns: Any) -> None:
-        """Log one value for each of several cases."""
+    def case_columns(
+        self, path: str, numbers: Sequence[int], columns: Any, timeline: str = paths.CASE
+    ) -> None:
+        """Log one value for each of several cases, or indices of another timeline."""
         for stream in self._streams:
             stream.send_columns(
-                path, indexes=[rr.TimeColumn(paths.CASE, sequence=numbers)], columns=columns
+                path, indexes=[rr.TimeColumn(timeline, sequence=numbers)], columns=columns
             )
 
     def properties(self, kind: str = paths.PROPERTIES, **values: Any) -> None:

@@ -342,10 +342,34 @@ class Erasor:
             Quantity("ratio", ratio, threshold=p.scan_ratio),
         )
         terms = (
-            Term("scan points in its bin", scan_points, ">=", p.min_points, "", "min_points"),
-            Term("ratio of heights", ratio, "<", p.scan_ratio, "", "scan_ratio"),
+            # Each comparison sees the map that the earlier ones left, so the parameters change more
+            # than these thresholds.
+            Term(
+                "scan points in its bin",
+                scan_points,
+                ">=",
+                p.min_points,
+                parameter="min_points",
+                follows="otherwise",
+            ),
+            Term(
+                "ratio of heights",
+                ratio,
+                "<",
+                p.scan_ratio,
+                parameter="scan_ratio",
+                follows="otherwise",
+            ),
             Term("height of the map", map_height, ">=", scan_height, "m"),
-            Term("height of the map", map_height, ">", p.min_difference, "m", "min_difference"),
+            Term(
+                "height of the map",
+                map_height,
+                ">",
+                p.min_difference,
+                "m",
+                "min_difference",
+                "otherwise",
+            ),
             Term("ground of its bin", ground, "<", 1),
         )
         rule = self._far_rule(asked) if p.port else Rule("map higher", terms, lasting=True)
