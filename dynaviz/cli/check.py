@@ -53,10 +53,15 @@ def check(
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the checks as JUnit XML.")
     ] = None,
+    markdown: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write them as Markdown, for the summary of a job."),
+    ] = None,
 ) -> None:
     """Check results against limits or a baseline.
 
-    Exit code 0: all checks passed, 1: a check failed, for use in CI.
+    Exit code 0: all checks passed, 1: a check failed, for use in CI. Cases
+    that are new or cost more than in the baseline are listed.
 
     \b
     dynaviz check recordings/street/octomap/result.json --min AA=90 --min SA=95
@@ -78,17 +83,36 @@ def check(
     )
     if checked.values:
         show(*_remarks(checked, failed=True), table(checked), *_remarks(checked, failed=False))
-        show(_summary(checked, len(cells), baseline))
-    if junit is not None:
-        from dynaviz.io.atomic import write_atomic
-        from dynaviz.scores.regression import junit_xml
-
-        write_atomic(junit, junit_xml(checked))
+        show(*_changes(checked), _summary(checked, len(cells), baseline))
+    _write(checked, junit, markdown)
     if checked.failed:
         raise typer.Exit(1)
     if write_baseline is not None:
         core.write_baseline(write_baseline, (cell.result for cell in cells if cell.result))
         show(f"Written to {write_baseline}.")
+
+
+def _write(checked: RegressionCheck, junit: Path | None, markdown: Path | None) -> None:
+    """Write the files that were asked for."""
+    from dynaviz.io.atomic import write_atomic
+    from dynaviz.scores import check_reports
+
+    if junit is not None:
+        write_atomic(junit, check_reports.junit_xml(checked))
+    if markdown is not None:
+        write_atomic(markdown, check_reports.markdown(checked).encode())
+
+
+def _changes(checked: RegressionCheck) -> Iterator[str]:
+    """The cases that are new or grew, and how to look at each."""
+    from rich.markup import escape
+
+    for run, changes in checked.cases.items():
+        yield escape(f"{run}: cases that are new or cost more")
+        for change in changes:
+            yield escape(f"  {change.text}")
+            if change.command is not None:
+                yield escape(f"    {change.command}")
 
 
 def _limit(text: str) -> tuple[str, float]:
@@ -164,7 +188,7 @@ def table(checked: RegressionCheck) -> Table:
     rows.add_column("")
     rows.add_column("run", overflow="fold", ratio=1)
     rows.add_column("metric", no_wrap=True)
-    for name in ("value", "limit", "diff"):
+    for name in ("value", "limit", "before", "diff"):
         rows.add_column(name, justify="right", no_wrap=True)
     rows.add_column("points", no_wrap=True)
     numbers = [value for value in checked.values if not value.is_text]
@@ -181,15 +205,15 @@ def table(checked: RegressionCheck) -> Table:
     return rows
 
 
-def _numbers(checked: CheckedValue) -> tuple[str, str, str]:
-    """Value, limit and their difference."""
+def _numbers(checked: CheckedValue) -> tuple[str, str, str, str]:
+    """Value, limit, value before, and the difference from that, or else from the limit."""
     digits = 3 if checked.name == "s/frame" else 2
-    value, limit = (
-        "n/a" if x is None else f"{x:.{digits}f}" for x in (checked.value, checked.limit)
-    )
-    if checked.value is None or checked.limit is None:
-        return value, limit, ""
-    return value, limit, f"{checked.value - checked.limit:+.{digits}f}"
+    numbers = (checked.value, checked.limit, checked.before)
+    value, limit, before = ("" if x is None else f"{x:.{digits}f}" for x in numbers)
+    against = checked.limit if checked.before is None else checked.before
+    if checked.value is None or against is None:
+        return value or "n/a", limit, before, ""
+    return value, limit, before, f"{checked.value - against:+.{digits}f}"
 
 
 SHORT = {"static_removed": "FP", "dynamic_kept": "FN"}

@@ -1,4 +1,4 @@
-"""Checks results against limits and against a stored baseline, for CI; JUnit XML of the checks."""
+"""Checks results against limits and against a stored baseline, for CI."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
-from xml.etree import ElementTree as xml
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
+from dynaviz.scores.changed_cases import STORED_CASES, ChangedCase, changed_cases
 from dynaviz.scores.result import Result, run_label
+from dynaviz.scores.sections import Failures
 
 if TYPE_CHECKING:
     from dynaviz.scores.collect import StudyRun
@@ -52,8 +52,9 @@ class CheckedValue:
         run: method and sequence.
         name: the metric, ``s/frame``, or ``run``, ``method`` or ``parameters`` for an entry without
             numbers.
-        value, limit: in percent (seconds for ``s/frame``); None if undefined, both None for an
-            entry without numbers.
+        value: in percent (seconds for ``s/frame``); None if undefined.
+        limit: the least value that passes; None if every value does.
+        before: of the baseline; None without one.
         remark: a further explanation.
         counts: by outcome, the number of points in the result and its difference from the baseline,
             None without one.
@@ -64,20 +65,27 @@ class CheckedValue:
     name: str
     value: float | None = None
     limit: float | None = None
+    before: float | None = None
     remark: str = ""
     counts: Mapping[str, tuple[int, int | None]] = field(default_factory=dict)
 
     @property
     def is_text(self) -> bool:
         """Whether the entry has no numbers, only a remark."""
-        return self.value is None and self.limit is None
+        return self.value is None and self.limit is None and self.before is None
 
 
 @dataclass(frozen=True)
 class RegressionCheck:
-    """All checked values, failures first."""
+    """All checked values, failures first.
+
+    Attributes:
+        values: the checks.
+        cases: by run, the failure cases that are new or grew since the baseline.
+    """
 
     values: list[CheckedValue]
+    cases: Mapping[str, Sequence[ChangedCase]] = field(default_factory=dict)
 
     @property
     def failed(self) -> list[CheckedValue]:
@@ -112,6 +120,7 @@ def check(
     """
     minima = list(minima)
     values = []
+    cases: dict[str, list[ChangedCase]] = {}
     left = list(baseline or [])
     for cell in cells:
         if cell.result is None:
@@ -128,6 +137,8 @@ def check(
         if baseline is not None:
             before = _match(now, baseline, alone=len(baseline) == len(cells) == 1)
             values += _against_baseline(now, before, tolerance)
+            if before is not None and (found := changed_cases(now, before, cell.recording)):
+                cases[label(now)] = found
             left = [entry for entry in left if entry is not before]
         values += _runtime(now, before)
     if complete:
@@ -137,7 +148,7 @@ def check(
             )
             for e in left
         ]
-    return RegressionCheck(sorted(values, key=lambda value: value.outcome))
+    return RegressionCheck(sorted(values, key=lambda value: value.outcome), cases)
 
 
 def _against_minimum(now: Result, name: str, minimum: float) -> CheckedValue:
@@ -149,10 +160,15 @@ def _against_minimum(now: Result, name: str, minimum: float) -> CheckedValue:
     counts = _counts(now, None)
     if value is None:
         return CheckedValue(
-            CheckOutcome.FAILED, label(now), name, None, minimum, _why_undefined(now), counts
+            CheckOutcome.FAILED,
+            label(now),
+            name,
+            limit=minimum,
+            remark=_why_undefined(now),
+            counts=counts,
         )
     outcome = CheckOutcome.FAILED if value < minimum else CheckOutcome.PASSED
-    return CheckedValue(outcome, label(now), name, value, minimum, "", counts)
+    return CheckedValue(outcome, label(now), name, value, minimum, counts=counts)
 
 
 def _against_baseline(now: Result, before: Result | None, tolerance: float) -> list[CheckedValue]:
@@ -173,7 +189,8 @@ def _against_baseline(now: Result, before: Result | None, tolerance: float) -> l
                 outcome = CheckOutcome.FAILED
             elif new > old + tolerance + ROUNDING:
                 outcome = CheckOutcome.IMPROVED
-        values.append(CheckedValue(outcome, label(now), name, new, old, remark, counts))
+        limit = None if old is None else old - tolerance
+        values.append(CheckedValue(outcome, label(now), name, new, limit, old, remark, counts))
     if now.method != before.method:
         values.append(
             CheckedValue(CheckOutcome.INFO, label(now), "method", remark=f"was {before.method}")
@@ -190,10 +207,11 @@ def _against_baseline(now: Result, before: Result | None, tolerance: float) -> l
 
 def _runtime(now: Result, before: Result | None) -> list[CheckedValue]:
     value = now.runtime.mean_s
-    limit = before.runtime.mean_s if before else None
-    if value is None or limit is None:
+    old = before.runtime.mean_s if before else None
+    if value is None or old is None:
         return []
-    return [CheckedValue(CheckOutcome.INFO, label(now), "s/frame", value, limit, "not checked")]
+    info = CheckOutcome.INFO
+    return [CheckedValue(info, label(now), "s/frame", value, before=old, remark="not checked")]
 
 
 def _counts(now: Result, before: Result | None) -> dict[str, tuple[int, int | None]]:
@@ -258,6 +276,19 @@ def _data(result: Result) -> str:
     return f"{sequence.digest[:12]} ({sequence.frames} frames, {sequence.points} points)"
 
 
+def _entry(result: Result) -> dict[str, Any]:
+    """What a baseline stores of a result."""
+    plain = {name: msgspec.to_builtins(getattr(result, name)) for name in STORED}
+    section = result.sections.failures
+    if section is not None:
+        cases = [
+            msgspec.structs.replace(case, looks=None, spans={})
+            for case in section.cases[:STORED_CASES]
+        ]
+        plain["failures"] = msgspec.to_builtins(Failures(tuple(cases), section.causes))
+    return plain
+
+
 def read_baseline(path: str | os.PathLike[str]) -> list[Result]:
     """Read a baseline, or the ``result.json`` of one run as one.
 
@@ -276,7 +307,7 @@ def read_baseline(path: str | os.PathLike[str]) -> list[Result]:
 
 
 def write_baseline(path: str | os.PathLike[str], results: Iterable[Result]) -> None:
-    """Write a baseline: the method, sequence, counts and metrics of each result.
+    """Write a baseline: counts, metrics, causes and costliest cases of each result.
 
     Raises:
         UsageError: if two results of the same run differ.
@@ -290,45 +321,7 @@ def write_baseline(path: str | os.PathLike[str], results: Iterable[Result]) -> N
         if found.setdefault(key, each).counts != each.counts:
             raise UsageError(f"two results of {label(each)} differ: leave one out of the baseline")
     order = sorted(found.values(), key=lambda e: (e.sequence.name, e.method, e.variant, e.online))
-    rows = [
-        json.dumps({name: msgspec.to_builtins(getattr(each, name)) for name in STORED})
-        for each in order
-    ]
+    rows = [json.dumps(_entry(each)) for each in order]
     # One line per run, so that a diff of two versions shows which runs changed.
     text = f'{{"baseline": {SCHEMA}, "results": [\n' + ",\n".join(rows) + "\n]}\n"
     write_atomic(Path(path), text.encode())
-
-
-def junit_xml(checked: RegressionCheck) -> bytes:
-    """A test suite with a test case for each checked value of each run.
-
-    Values for information are not in it.
-    """
-    root = xml.Element("testsuites", name="dynaviz check")
-    values = [each for each in checked.values if each.outcome is not CheckOutcome.INFO]
-    for run, of_run in groupby(
-        sorted(values, key=lambda each: each.run), key=lambda each: each.run
-    ):
-        rows = list(of_run)
-        failed = sum(each.outcome is CheckOutcome.FAILED for each in rows)
-        suite = xml.SubElement(
-            root, "testsuite", name=run, tests=f"{len(rows)}", failures=f"{failed}"
-        )
-        for each in rows:
-            case = xml.SubElement(suite, "testcase", classname=run, name=each.name)
-            text = _sentence(each)
-            if each.outcome is CheckOutcome.FAILED:
-                xml.SubElement(case, "failure", message=text).text = text
-            else:
-                xml.SubElement(case, "system-out").text = text
-    xml.indent(root)
-    document: bytes = xml.tostring(root, encoding="utf-8", xml_declaration=True)
-    return document
-
-
-def _sentence(checked: CheckedValue) -> str:
-    """The value, its limit and the remark."""
-    numbers = [] if checked.value is None else [f"{checked.name} {checked.value:.2f} %"]
-    numbers += [] if checked.limit is None else [f"at least {checked.limit:.2f} % is required"]
-    counts = [f"{name} {count:,}" for name, (count, _) in checked.counts.items()]
-    return "; ".join([*numbers, *([checked.remark] if checked.remark else []), *counts]) or "passed"

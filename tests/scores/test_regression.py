@@ -19,7 +19,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynaviz.errors import DataError, UsageError
+from dynaviz.scores.changed_cases import STORED_CASES, changed_cases
+from dynaviz.scores.check_reports import junit_xml, markdown
 from dynaviz.scores.collect import StudyRun, collect
+from dynaviz.scores.failure_case import FailureCase, RangeSpan
 from dynaviz.scores.regression import (
     STORED,
     CheckOutcome,
@@ -30,7 +33,7 @@ from dynaviz.scores.regression import (
     write_baseline,
 )
 from dynaviz.scores.result import Result
-from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
+from dynaviz.scores.sections import Failures, Runtime, Sections, SequenceInfo
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -131,7 +134,7 @@ def test_changes_of_counts_and_runtime_are_reported() -> None:
     }
     assert checked.failed[0].counts["static_removed"] == (30, 10)
     runtime = checked.values[-1]
-    assert (runtime.value, runtime.limit) == (0.5, 0.1)
+    assert (runtime.value, runtime.limit, runtime.before) == (0.5, None, 0.1)
 
 
 def test_different_data_or_scoring_is_refused() -> None:
@@ -273,7 +276,11 @@ def test_the_command(bench: Path, tmp_path: Path, run_command: Command) -> None:
     }
     assert set(suites) == {"octomap on street", "erasor on street"}
     cases = {case.get("name"): case.find("failure") for case in suites["octomap on street"]}
-    assert cases["SA"].get("message").startswith("SA 70.00 %; at least 80.00 % is required")
+    assert (
+        cases["SA"]
+        .get("message")
+        .startswith("SA 70.00 %; at least 79.50 % is required; 80.00 % before")
+    )
     assert suites["octomap on street"].get("failures") == str(
         sum(found is not None for found in cases.values())
     )
@@ -281,7 +288,7 @@ def test_the_command(bench: Path, tmp_path: Path, run_command: Command) -> None:
     first = next(line for line in out.splitlines() if "FAIL" in line)
     assert all(
         word in first
-        for word in ("octomap on street", "SA", "70.00", "80.00", "-10.00", "FP 30 (+10)")
+        for word in ("octomap on street", "SA", "70.00", "79.50", "80.00", "-10.00", "FP 30")
     )
     assert max(map(len, out.splitlines())) <= 80
     assert "failed" in out
@@ -327,3 +334,74 @@ def test_a_mistake_gives_one_line(bench: Path, run_command: Command, typed: str)
 
 def test_cells_of_a_bench_are_found(bench: Path) -> None:
     assert sorted(cell.method for cell in collect([bench])) == ["erasor", "octomap"]
+
+
+def case(cost: float, at: float = 0.0, **changes: Any) -> FailureCase:
+    """A case of 1 m at a place along x, in frames 3 to 7."""
+    values: dict[str, Any] = {"kind": "false_negative", "what": "van", "cause": "hidden"}
+    corners = (at, 0.0, 0.0), (at + 1.0, 1.0, 1.0)
+    return FailureCase(
+        **(values | changes), points=10, cost=cost, first_frame=3, last_frame=7, worst_frame=5,
+        frames=5, low=corners[0], high=corners[1], range=RangeSpan(8.0, 9.0, 10.0), moved=0.0,
+        reasons={"low": 10},
+    )  # fmt: skip
+
+
+def failing(*cases: FailureCase, **changes: Any) -> Result:
+    sections = result().sections
+    sections = msgspec.structs.replace(sections, failures=Failures(cases))
+    return result(sections=sections, **changes)
+
+
+def test_new_and_grown_cases_are_found() -> None:
+    before = failing(case(3.0, 0.0), case(2.0, 10.0), case(1.0, 20.0, class_=1, instance=4))
+    now = failing(
+        case(3.0, 0.5),  # moved a little
+        case(2.6, 50.0, class_=1, instance=4),  # the same object elsewhere
+        case(2.0, 10.0, kind="false_positive"),  # another error at the same place
+        case(0.04, 30.0),  # too small to matter
+    )
+    found = changed_cases(now, before, Path("bench/run.rrd"))
+    assert [(each.number, each.before) for each in found] == [(3, 0.0), (2, 1.0)]
+    assert found[1].text == ("case 2: van, 2.60 % of DA (was 1.00 %), 9 m away, frames 3-7, hidden")
+    assert found[0].command == "dynaviz view bench/run.rrd --case 3 -o case_3.png"
+    assert changed_cases(now, now, None) == []
+    both = failing(*(case(cost, class_=1, instance=4) for cost in (2.0, 1.0)))
+    split = failing(*(case(cost, class_=1, instance=4) for cost in (1.6, 1.5)))
+    assert [(each.number, round(each.before, 2)) for each in changed_cases(split, both, None)] == [
+        (2, 1.4)
+    ]
+    assert changed_cases(now, result(), None) == []  # a baseline without cases
+
+
+def test_of_a_baseline_only_the_stored_cases_are_known(tmp_path: Path) -> None:
+    many = failing(*(case(20.0 - k, 10.0 * k) for k in range(STORED_CASES + 5)))
+    write_baseline(tmp_path / "b.json", [many])
+    (entry,) = read_baseline(tmp_path / "b.json")
+    assert len(entry.failures) == STORED_CASES
+    assert changed_cases(many, entry, None) == []  # the others may have been there before
+    assert changed_cases(failing(case(15.0, -50.0)), entry, None)
+
+
+def test_reports_say_where(tmp_path: Path) -> None:
+    before = failing(case(1.0))
+    sections = msgspec.structs.replace(
+        result((80, 20), (30, 20)).sections, failures=Failures((case(4.0),))
+    )
+    now = replace(cell(result(sections=sections)), file=tmp_path / "result.json")
+    (tmp_path / "run.rrd").touch()
+    checked = check([now], baseline=[before])
+    (change,) = checked.cases["octomap on street"]
+    assert change.recording == tmp_path / "run.rrd"
+    text = markdown(checked)
+    assert "| octomap on street | DA | 60.00 | 89.50 | 90.00 |" in text
+    assert change.text in text
+    assert f"`{change.command}`" in text
+    failures = {
+        each.get("name"): each.find("failure").text  # type: ignore[union-attr]
+        for each in ElementTree.fromstring(junit_xml(checked)).iter("testcase")
+        if each.find("failure") is not None
+    }
+    assert change.text in failures["DA"]
+    assert change.text in failures["AA"]
+    assert markdown(check([now], baseline=[now.result])).startswith("### Checks passed")
