@@ -154,7 +154,10 @@ def sampling() -> str:
     columns = sorted({(row["drive"], -row["rings"], -row["looks"]) for row in rows})
     head = (
         "method",
-        *(f"{drive[-4:]}: {-seen} scans, {-rings} rings" for drive, rings, seen in columns),
+        *(
+            f"{real_tables.title(drive)}: {-seen} scans, {-rings} rings"
+            for drive, rings, seen in columns
+        ),
     )
     found = {
         (row["method"], row["drive"], -row["rings"], -row["looks"]): f"{row['DA']:.0f}"

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.benchmarking.gain import drawn, interval
 from dynaviz.contracts import registry
+from dynaviz.scores.movers import FEWEST, drawn, interval
 
 DOCS = Path(__file__).resolve().parent
 POSES = {"given": "given poses", "small-gicp": "`small-gicp`"}
@@ -26,7 +26,14 @@ FIVE = ("erasor", "octomap_gf", "dufomap", "dynablox", OURS)
 """The methods of short tables."""
 TITLES = {"dor_wheel": "DOR fusion"}
 """Of methods in ``examples/``."""
-MOST_NAMED = 3  # movers of a drive below which an interval over drawn movers says nothing
+PARTS = {
+    "kitti_tracking_0011": "rules and constants",
+    "kitti_tracking_0012": "rules and constants",
+    "nuscenes_scene-0916": "rules and constants",
+    "semantickitti_08": "its scores were looked at",
+    "argoverse2_7fab2350": "its scores were looked at",
+}
+"""What each development drive had a part in choosing; sealed drives had none."""
 OPENS = {
     "nuscenes_scene-0523": "`nuscenes/scene-0523` (full data set)",
     "kitti_raw_2011_09_26_drive_0001": "`kitti_raw/2011_09_26/2011_09_26_drive_0001_sync`",
@@ -95,7 +102,7 @@ class RealScore:
         SA = kept / (kept + lost)
         DA = taken / (taken + left)
         low = high = None
-        if len(points) >= MOST_NAMED:
+        if len(points) >= FEWEST:
             sums = drawn(np.stack([removed, points], 1))
             low, high = interval(100 * np.sqrt(SA * sums[:, 0] / sums[:, 1]))
         found = int((2 * removed >= points).sum())
@@ -107,10 +114,13 @@ class RealScore:
         """SA, DA and AA."""
         return f"{self.SA:.1f}/{self.DA:.1f}/**{self.AA:.1f}**"
 
+    @property
+    def within(self) -> str:
+        """SA, DA and AA, with the interval of AA."""
+        return self.rates if self.low is None else f"{self.rates} ({self.low:.0f}-{self.high:.0f})"
+
     def __str__(self) -> str:
-        if self.low is None:
-            return self.rates
-        return f"{self.rates} ({self.low:.0f}-{self.high:.0f}) {self.found}"
+        return self.within if self.low is None else f"{self.within} {self.found}"
 
 
 def scores_on(file: str, drive: str, poses: str, tuned: bool = False) -> dict[str, RealScore]:
@@ -136,8 +146,8 @@ def sealed_scores() -> dict[str, dict[str, RealScore]]:
 
 
 def title(drive: str) -> str:
-    """The name of a drive as the head of a narrow column."""
-    return drive.replace("_", " ")
+    """A drive, as every table and page names it: the name that ``dynaviz info`` prints."""
+    return f"`{drive}`"
 
 
 def sealed_drives() -> str:
@@ -182,7 +192,7 @@ def sealed_five() -> str:
     """Five methods, and the best other one, on the sealed drives."""
     scores = sealed_scores()
     rows = [
-        (method_title(name), *(known[name].rates for known in scores.values())) for name in FIVE
+        (method_title(name), *(known[name].within for known in scores.values())) for name in FIVE
     ]
     others = (next(name for name in known if name != OURS) for known in scores.values())
     best = (
@@ -211,11 +221,38 @@ def sealed_first() -> str:
     return f"{first} It is not first on {'; '.join(behind)}." if behind else first
 
 
+def seethrough_drives() -> str:
+    """What each drive had a part in choosing, and SeeThrough's place on it."""
+    rows = []
+    drives = [
+        (kind, each["name"]) for kind in ("sealed", "real") for each in stored(kind)["drives"]
+    ]
+    for file, drive in drives:
+        for poses, words in POSES.items():
+            scores = scores_on(file, drive, poses)
+            if not scores:
+                continue
+            place = 1 + list(scores).index(OURS)
+            other = next(name for name in scores if name != OURS)
+            row = (
+                title(drive),
+                PARTS.get(drive, "none: sealed"),
+                words,
+                scores[OURS].within,
+                f"{place} of {len(scores)}" if place == 1 else f"**{place} of {len(scores)}**",
+                f"{method_title(other)} {scores[other].AA:.1f}",
+            )
+            rows.append(row)
+    return table(
+        ("drive", "part in choosing", "poses", "SA/DA/AA", "place by AA", "best other, AA"), rows
+    )
+
+
 def real_drives() -> str:
     """Facts of the drives of benchmarks/real.py."""
     rows = (
         (
-            f"`{drive['name']}`",
+            title(drive["name"]),
             drive["where"],
             drive["sensor"],
             drive["frames"],
@@ -251,7 +288,7 @@ def real_table() -> str:
             instead = "unproven" if (drive, name) in searched else ""
             cells = tuple(str(each.get(name, instead)) for each in known)
             names.setdefault(cells, []).append(f"`{name}`")
-        firsts = [f"`{drive}`", *[""] * (len(names) - 1)]
+        firsts = [title(drive), *[""] * (len(names) - 1)]
         rows += [
             (first, ", ".join(each), *cells)
             for first, (cells, each) in zip(firsts, names.items(), strict=True)
@@ -286,7 +323,7 @@ def real_first() -> str:
                 behind = (
                     f"{method_title(best)} {scores[best].AA:.1f}, SeeThrough {scores[OURS].AA:.1f}"
                 )
-                others.append(f"`{drive}` with {POSES[poses]} ({behind})")
+                others.append(f"{title(drive)} with {POSES[poses]} ({behind})")
         first = (
             f"Of {len(pairs)} combinations of a drive and its poses, SeeThrough has the highest AA "
             "on"
@@ -307,7 +344,7 @@ def real_losses() -> list[str]:
         before = real_scores(cell["drive"], cell["poses"])[cell["method"]].AA
         after = RealScore.of(cell, facts[cell["drive"]]).AA
         if after < before:
-            place = f"on `{cell['drive']}` with {POSES[cell['poses']]}"
+            place = f"on {title(cell['drive'])} with {POSES[cell['poses']]}"
             worse.append(f"{method_title(cell['method'])} {place} ({before:.1f} to {after:.1f})")
     return (
         [
@@ -327,8 +364,8 @@ def real_five() -> str:
         if each["labelled"].startswith("boxes") and each["frames"] > 2
     ]
     scores = {name: real_scores(name, "small-gicp") for name in names}
-    rows = ((method_title(name), *(scores[drive][name].rates for drive in names)) for name in FIVE)
-    return table(("SA / DA / AA", *(name.replace("_", " ") for name in names)), rows)
+    rows = ((method_title(name), *(scores[drive][name].within for drive in names)) for name in FIVE)
+    return table(("SA / DA / AA", *map(title, names)), rows)
 
 
 TABLES: tuple[Callable[[], str], ...] = (
@@ -336,6 +373,7 @@ TABLES: tuple[Callable[[], str], ...] = (
     sealed_first,
     sealed_five,
     sealed_table,
+    seethrough_drives,
     real_drives,
     real_first,
     real_five,

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz.arrays import F64, I64
+from dynaviz.scores.movers import LEVEL, drawn, interval
 from dynaviz.scores.result import Result
 
-LEVEL = 0.95
-DRAWS = 2000
 SA_LOSS = 1.0  # points of SA that a gain may cost
 
 
@@ -73,19 +72,6 @@ def gain(before: Sequence[Result], after: Sequence[Result]) -> Gain:
     by_mover = 100 * float(np.sqrt(sa[1] * shares[1]) - np.sqrt(sa[0] * shares[0]))
     whole = float(_gain(sa, counts.sum(0)[None])[0])
     return Gain(whole, low, high, by_mover, 100 * float(sa[1] - sa[0]))
-
-
-def drawn(movers: I64) -> I64:
-    """(DRAWS, K) int64: sums over (M, K) counts of movers, which are drawn with replacement."""
-    rows = np.random.default_rng(0).integers(len(movers), size=(DRAWS, len(movers)))
-    totals: I64 = movers[rows].sum(1)
-    return totals
-
-
-def interval(values: F64) -> tuple[float, float]:
-    """The ends of the interval that contains ``LEVEL`` of the values."""
-    low, high = np.quantile(values, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return float(low), float(high)
 
 
 def _gain(sa: F64, counts: I64) -> F64:

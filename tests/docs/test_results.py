@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dynaviz as dv
-from dynaviz.benchmarking.gain import DRAWS
+from dynaviz.scores.movers import DRAWS
 
 ROOT = Path(__file__).resolve().parents[2]
 SEALED: dict[str, Any] = json.loads((ROOT / "docs/sealed.json").read_text(encoding="utf-8"))
@@ -87,7 +87,7 @@ def test_the_sealed_table_follows_from_its_file() -> None:
     """Every cell, the mean rank and the lowest AA."""
     names = [drive["name"] for drive in SEALED["drives"]]
     AA: dict[str, dict[str, float]] = {name: {} for name in names}
-    rows = sealed_rows("docs/results.md", "| method | nuscenes scene-0523")
+    rows = sealed_rows("docs/results.md", "| method | `nuscenes_scene-0523`")
     for cell in SEALED["cells"]:
         kept, lost = cell["static"]
         taken, left = cell["dynamic"]
@@ -127,7 +127,7 @@ def test_where_seethrough_is_not_first_is_named() -> None:
             for cell in SEALED["cells"]
             if cell["drive"] == drive["name"]
         }
-        named = f"{drive['name'].replace('_', ' ')} (" in text
+        named = f"`{drive['name']}` (" in text
         assert named == (max(scores, key=scores.__getitem__) != "seethrough")
 
 
@@ -140,3 +140,34 @@ def test_a_cell_follows_from_the_data(real_data: Path) -> None:
     result = dv.run(METHOD, dv.open(real_data / "nuscenes"), record="none", maps=False)
     assert [result.counts["static_kept"], result.counts["static_removed"]] == CELL["static"]
     assert result.counts["dynamic_removed"] == sum(CELL["removed"])
+
+
+def test_the_page_of_seethrough_says_which_drives_had_a_part_and_where_it_is_not_first() -> None:
+    rows = sealed_rows("docs/methods/seethrough.md", "| drive | part in choosing |")
+    sealed = [drive["name"] for drive in SEALED["drives"]]
+    developed = [drive["name"] for drive in STORED["drives"]]
+    assert list(rows) == [*sealed, *developed]  # rows of one drive replace each other
+    assert all((cells[0] == "none: sealed") == (name in sealed) for name, cells in rows.items())
+    page = (ROOT / "docs/methods/seethrough.md").read_text(encoding="utf-8")
+    facts = {drive["name"]: drive for drive in (*SEALED["drives"], *STORED["drives"])}
+    for file in (SEALED, STORED):
+        for name, poses in {(c["drive"], c["poses"]) for c in file["cells"]}:
+            shares = {}
+            for cell in file["cells"]:
+                if (cell["drive"], cell["poses"], bool(cell["set"])) != (name, poses, False):
+                    continue
+                kept, lost = cell["static"]
+                points = sum(number for _, number in facts[name]["movers"])
+                gone, left = cell.get(
+                    "dynamic", (sum(cell["removed"]), points - sum(cell["removed"]))
+                )
+                shares[cell["method"]] = kept / (kept + lost) * gone / (gone + left)
+            place = 1 + sum(other > shares["seethrough"] for other in shares.values())
+            words = "given poses" if poses == "given" else "`small-gicp`"
+            line = next(
+                line
+                for line in page.splitlines()
+                if line.startswith(f"| `{name}` |") and f"| {words} |" in line
+            )
+            assert f"{place} of {len(shares)}" in line, line
+            assert (f"**{place} of" in line) == (place > 1)

@@ -77,6 +77,19 @@ def test_a_method_that_lacks_a_sequence_leaves_the_others_their_column(folder: P
     assert any("Missing: octomap_gf on hall" in note for note in made.accuracy.notes)
 
 
+def test_a_sequence_has_one_name(folder: Path) -> None:
+    """The most frequent one; a note has the others."""
+    hall = {"name": "roof", "digest": "digest of hall", "frames": 1, "points": 1100}
+    result("octomap", "hall").save(folder / "3" / "result.json")
+    result("dufomap", hall).save(folder / "4" / "result.json")
+    made = tables(Study(collect([folder]), folder))
+    assert [board.title for board in made.single] == ["street", "hall"]
+    assert len(made.single[1].rows) == 3
+    assert "hall: roof in some results; the points are the same." in made.accuracy.notes
+    text = report(folder, format="latex")
+    assert text.count("roof") < text.count("hall")
+
+
 def test_the_format_follows_from_the_suffix(folder: Path) -> None:
     assert report(folder, out=folder / "table.tex") == report(folder, format="latex")
     assert "latex" in [handle.name for handle in registry.handles("reports")]

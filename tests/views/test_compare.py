@@ -96,7 +96,7 @@ def test_names_and_tables(runs: dict[str, Path]) -> None:
     shown = str(comparison)
     assert all(
         word in shown
-        for word in ("only A", "crossed_by_rays", "95 % interval", "30-50 m", "resolution")
+        for word in ("only A", "crossed_by_rays", "over movers", "30-50 m", "resolution")
     )
     again = dv.compare(*pair(runs, "errors")[:1] * 2)
     assert [run.name for run in again.runs] == ["octomap fine"] * 2

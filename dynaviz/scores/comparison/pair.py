@@ -6,7 +6,7 @@ Field names are the keys of ``--json``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ from dynaviz.scores.comparison.settings import (
     runtime_ratio,
     setting_changes,
 )
+from dynaviz.scores.movers import change_intervals
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percent
 from dynaviz.scores.sections import Runtime
@@ -247,6 +248,8 @@ class PairComparison:
         differ: settings that differ.
         runtime: ratio of runtimes.
         removed: what the runs removed, if there is no ground truth; else None.
+        over_movers: 95 % intervals of the change of DA and AA if the movers are drawn again; empty
+            if movers are few or unknown.
     """
 
     first: str
@@ -261,6 +264,7 @@ class PairComparison:
     differ: tuple[SettingChange, ...]
     runtime: RuntimeRatio
     removed: RemovalComparison | None = None
+    over_movers: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def compare_pair(
@@ -296,6 +300,7 @@ def compare_pair(
         differ=setting_changes(*results),
         runtime=runtime_ratio(*results),
         removed=_removals(counts, reasons),
+        over_movers=change_intervals(*results),
     )
 
 

@@ -151,7 +151,8 @@ def _verdict(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> s
     defined = [(name, score) for name, score in by_name.items() if score.delta is not None]
     if not defined:
         return _removed(first, second, pair.removed) if pair.removed else "No score is defined."
-    sentences = [_headline(first, second, *defined[0])]
+    name, score = defined[0]
+    sentences = [_headline(first, second, name, score, pair.over_movers.get(name))]
     for what, name in (("keeps more static points", "SA"), ("removes more dynamic points", "DA")):
         delta = by_name[name].delta
         if delta and _is_clear(by_name[name]):
@@ -161,17 +162,26 @@ def _verdict(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> s
     return " ".join(sentences)
 
 
-def _headline(first: ComparedRun, second: ComparedRun, name: str, score: ScoreChange) -> str:
+def _headline(
+    first: ComparedRun,
+    second: ComparedRun,
+    name: str,
+    score: ScoreChange,
+    over_movers: tuple[float, float] | None,
+) -> str:
     delta = score.delta or 0.0
     better, worse = (first, second) if delta < 0 else (second, first)
     best, least = (score.first, score.second) if delta < 0 else (score.second, score.first)
     if delta == 0:
         return f"{first.label} and {second.label} are even: {name} {best:.2f}."
     numbers = f"{name} {best:.2f} against {least:.2f}"
+    doubt = ""
+    if over_movers and over_movers[0] <= 0 <= over_movers[1]:
+        doubt = " Other movers may reverse it: the interval over movers includes zero."
     if not _is_clear(score):
         why = "the 95 % interval includes zero" if score.interval else "there is no 95 % interval"
         return f"No clear winner: {better.label} has {numbers}, but {why}."
-    return f"{better.label} is better than {worse.label}: {numbers}."
+    return f"{better.label} is better than {worse.label}: {numbers}.{doubt}"
 
 
 def _is_clear(score: ScoreChange) -> bool:

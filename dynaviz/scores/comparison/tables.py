@@ -102,33 +102,45 @@ def renderable(section: TableSection) -> RenderableType:
 
 _SCORES_NOTE = (
     "SA, DA: static points kept, dynamic points removed, in %; FP: static points removed, "
-    "FN: dynamic points kept. Intervals: bootstrap over blocks of frames, the same for both runs"
+    "FN: dynamic points kept. Intervals of 95 %: over frames, blocks of frames are drawn again; "
+    "over movers, the objects that moved; the same for both runs"
 )
 
 
 def _scores_of_two(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> TableSection:
     rows = [
         (name, _number(score.first, name), _number(score.second, name), _signed(score.delta, name),
-         _interval(score.interval, name))
+         _interval(score.interval, name), _over_movers(pair, name))
         for name, score in pair.scores.items()
     ]  # fmt: skip
     return TableSection(
         "Scores",
-        ("", first.label, second.label, "B - A", "95 % interval"),
+        ("", first.label, second.label, "B - A", "over frames", "over movers"),
         tuple(rows),
         _SCORES_NOTE,
     )
 
 
 def _scores_of_many(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]) -> TableSection:
-    head = ("run", *SCORES, *WRONG, "AA - A's", "95 % interval")
+    head = ("run", *SCORES, *WRONG, "AA - A's", "over frames", "over movers")
     AAs = [pair.scores.AA for pair in pairs]
-    changes = [("", ""), *((_signed(AA.delta, "AA"), _interval(AA.interval, "AA")) for AA in AAs)]
+    changes = [
+        ("", "", ""),
+        *(
+            (_signed(AA.delta, "AA"), _interval(AA.interval, "AA"), _over_movers(pair, "AA"))
+            for AA, pair in zip(AAs, pairs, strict=True)
+        ),
+    ]
     rows = [
         (run.label, *(_number(value, name) for name, value in run.scores.items()), *change)
         for run, change in zip(runs, changes, strict=True)
     ]
     return TableSection("Scores", head, tuple(rows), _SCORES_NOTE)
+
+
+def _over_movers(pair: PairComparison, name: str) -> str:
+    """The interval over drawn movers; empty for scores that do not depend on movers."""
+    return _interval(pair.over_movers.get(name), name) if name in ("DA", "AA") else ""
 
 
 def _agreement(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> TableSection:

@@ -6,9 +6,11 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from dynaviz.reports.reporting import Study
+from dynaviz.scores import movers
 from dynaviz.scores.collect import StudyRun, combined
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percentage_points_lost
@@ -25,15 +27,28 @@ ERRORS = {"false_positive": "static removed", "false_negative": "dynamic kept"}
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """A run on a board; ``run`` is None for several sequences combined."""
+    """A run on a board.
+
+    Attributes:
+        label: its name.
+        result: of the run, or of several sequences combined.
+        run: None for several sequences combined.
+        parts: the results that are combined.
+    """
 
     label: str
     result: Result
     run: StudyRun | None = None
+    parts: tuple[Result, ...] = ()
 
     def score(self, name: str) -> float | None:
         """A metric in percent; None if undefined."""
         return self.result.metrics.get(name)
+
+    @cached_property
+    def aa_interval(self) -> tuple[float, float] | None:
+        """The interval of AA over drawn movers, percent; None if movers are few or unknown."""
+        return movers.aa_interval(self.parts or (self.result,))
 
     @property
     def rank(self) -> tuple[float, str]:
@@ -51,12 +66,14 @@ class ScoreBoard:
         scoring: ``mask`` or ``nn``.
         rows: best first; labels are unique.
         n_sequences: number of sequences.
+        other_names: names of the same points in other results.
     """
 
     title: str
     scoring: str
     rows: tuple[ScoreRow, ...]
     n_sequences: int = 1
+    other_names: tuple[str, ...] = ()
 
     @property
     def sequence(self) -> SequenceInfo:
@@ -110,6 +127,7 @@ def boards(study: Study) -> list[ScoreBoard]:
             titles[key],
             key[1],
             tuple(sorted((_row(labels[run.file], run) for run in runs), key=_rank)),
+            other_names=tuple(_names(runs)[1:]),
         )
         for key, runs in groups.items()
     ]
@@ -129,9 +147,7 @@ def _titles(groups: Mapping[tuple[str, str], Sequence[StudyRun]]) -> dict[tuple[
 
     The name of the sequence, with digest and scoring if the name is not unique.
     """
-    names = {
-        key: " = ".join(dict.fromkeys(run.sequence for run in runs)) for key, runs in groups.items()
-    }
+    names = {key: _names(runs)[0] for key, runs in groups.items()}
     digests = {name: {key[0] for key in names if names[key] == name} for name in names.values()}
     scorings = {scoring for _, scoring in groups}
     titles = {}
@@ -139,6 +155,11 @@ def _titles(groups: Mapping[tuple[str, str], Sequence[StudyRun]]) -> dict[tuple[
         suffix = [digest[:8]] * (len(digests[name]) > 1) + [scoring] * (len(scorings) > 1)
         titles[digest, scoring] = f"{name} ({', '.join(suffix)})" if suffix else name
     return titles
+
+
+def _names(runs: Sequence[StudyRun]) -> list[str]:
+    """The names of a sequence in its results, the most frequent one first."""
+    return [name for name, _ in Counter(run.sequence for run in runs).most_common()]
 
 
 _LabelForm = Callable[[Study, StudyRun], str]
@@ -204,9 +225,10 @@ def combined_boards(
                 f"{', '.join(absent[:3])}{rest}."
             )
         rows = [
-            ScoreRow(label, combined([row.result for row in found if row]))
+            ScoreRow(label, combined(parts), parts=tuple(parts))
             for label in labels
             if all(found := [board.row(label) for board in alike])
+            and (parts := [row.result for row in found if row])
         ]
         if not rows:
             continue

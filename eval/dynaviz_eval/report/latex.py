@@ -83,7 +83,9 @@ def _groups(table: Table) -> list[str]:
 
 def _field(value: Value) -> str:
     text = escaped(value.text)
-    return rf"\textbf{{{text}}}" if value.bold else text
+    if value.bold:
+        text = rf"\textbf{{{text}}}"
+    return rf"{text} {{\footnotesize ({escaped(value.interval)})}}" if value.interval else text
 
 
 def _line(fields: list[str]) -> str:

@@ -38,6 +38,8 @@ def _field(value: Value) -> str:
         text = f"[{text}](<{value.link}>)"
     if value.bold:
         text = f"**{text}**"
+    if value.interval:
+        text = f"{text} ({_escaped(value.interval)})"
     return f"{text} ({_escaped(value.detail)})" if value.detail else text
 
 

@@ -20,6 +20,7 @@ class Value:
         link: target of a link, relative to the report.
         heat: 0 to 1, how strongly the field is coloured; None for no colour.
         detail: small print below the text.
+        interval: of the number; empty if unknown.
     """
 
     text: str
@@ -28,6 +29,7 @@ class Value:
     link: str = ""
     heat: float | None = None
     detail: str = ""
+    interval: str = ""
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ The paper's two, an overview, errors, cases, objects and runs.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dynaviz.reports.reporting import Study
+from dynaviz.scores.movers import FEWEST
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import SCORES
 from dynaviz_eval.report.boards import (
@@ -227,7 +228,7 @@ def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Tab
     rows = []
     for label, scoring in sorted(groups, key=lambda key: order.index(key[0])):
         aas = [
-            percent(row.score("AA"), label in board.best("AA"))
+            scored(row, "AA", label in board.best("AA"))
             if board.scoring == scoring and (row := board.row(label))
             else Value(ABSENT)
             for board in [*combined, *single]
@@ -243,6 +244,7 @@ def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Tab
         "Worst failure: the cause that costs the most percentage points of SA or DA, over all "
         "sequences that the "
         "method ran on, with points added up.",
+        *_drawn([*combined, *single]),
     ]
     if several:
         notes.append(
@@ -250,6 +252,26 @@ def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Tab
             "columns."
         )
     return Table("glance", "At a glance", columns, rows, notes)
+
+
+def scored(row: ScoreRow, name: str, best: bool) -> Value:
+    """A score of a run; AA with its interval over drawn movers."""
+    value = percent(row.score(name), best)
+    if name != "AA" or row.aa_interval is None:
+        return value
+    low, high = row.aa_interval
+    return replace(value, interval=f"{low:.0f} to {high:.0f}")
+
+
+def _drawn(every: Iterable[ScoreBoard]) -> list[str]:
+    """What intervals are, if any run has one."""
+    if all(row.aa_interval is None for board in every for row in board.rows):
+        return []
+    return [
+        "Below or behind AA: its 95 % interval if the movers of the sequence are drawn again with "
+        "replacement. Differences within the intervals depend on which objects moved. "
+        f"None for fewer than {FEWEST} movers, or movers without numbers."
+    ]
 
 
 def worst(found: dict[str, Losses]) -> str:
@@ -277,15 +299,22 @@ def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
         for board in every:
             here = board.row(label)
             row += [
-                percent(here.score(name), label in board.best(name)) if here else Value(ABSENT)
+                scored(here, name, label in board.best(name)) if here else Value(ABSENT)
                 for name in SCORES
             ]
         rows.append(row)
-    scored = sorted({board.scoring for board in every})
+    scorings = sorted({board.scoring for board in every})
     notes = [
         "Percent. SA: static points kept; DA: dynamic points removed; AA = √(SA · DA); HA = 2 · SA "
         "· DA / (SA + DA). "
-        f"Scoring: {', '.join(scored)}. The best of each column is bold.",
+        f"Scoring: {', '.join(scorings)}. The best of each column is bold.",
+        *_drawn(every),
+        *(
+            f"{board.title}: {' and '.join(board.other_names)} in some results; the points are "
+            "the same."
+            for board in every
+            if board.other_names
+        ),
         *(
             f"{board.title}: counts of {board.n_sequences} sequences added up."
             for board in every
