@@ -1,6 +1,8 @@
 """From raw data to a clean map.
 
 Open anything, estimate poses if there are none, run a method, write the map.
+
+Private: other packages do not import it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """The command line: one small file per command.
 
 Heavy modules are imported only by the commands that need them.
+
+Private: other packages do not import it.
 """
 
 from __future__ import annotations

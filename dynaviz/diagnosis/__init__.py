@@ -1,4 +1,7 @@
-"""Diagnose a sequence and suggest fixes: ``dynaviz.doctor``."""
+"""Diagnose a sequence and suggest fixes: ``dynaviz.doctor``.
+
+Private: other packages do not import it.
+"""
 
 from __future__ import annotations
 

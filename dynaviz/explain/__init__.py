@@ -2,4 +2,6 @@
 read.
 
 ``ledger`` keeps what each scan contributed while ``repeat`` runs a method again; ``words`` says it.
+
+Private: other packages do not import it.
 """

@@ -1,5 +1,7 @@
 """The explorer: a page on this machine with the cases of a run, the viewer, and why a clicked point
 got its label.
+
+Private: other packages do not import it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Live use: label scans as they come, in bounded memory."""
+"""Live use: label scans as they come, in bounded memory.
+
+Private: other packages do not import it.
+"""
 
 from __future__ import annotations
 

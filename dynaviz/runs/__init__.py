@@ -1,1 +1,4 @@
-"""Runs: executed on tiles or live, opened again, replayed and explained."""
+"""Runs: executed on tiles or live, opened again, replayed and explained.
+
+Private: other packages do not import it.
+"""

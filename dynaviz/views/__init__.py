@@ -1,1 +1,4 @@
-"""Recordings and pictures: the only package that imports rerun."""
+"""Recordings and pictures: the only package that imports rerun.
+
+Private: other packages do not import it.
+"""

@@ -177,7 +177,8 @@ def test_sequences_with_equal_names_have_separate_boards(study):
 def test_one_sequence_under_two_names_is_one_board(study):
     again = {"name": "copy of hall", "digest": "digest of hall", "frames": 1, "points": 1100}
     made = tables(study(result("a"), result("b", sequence=again)))
-    assert [(board.title, len(board.rows)) for board in made.boards] == [("hall = copy of hall", 2)]
+    assert [(board.title, len(board.rows)) for board in made.boards] == [("hall", 2)]
+    assert "hall: copy of hall in some results; the points are the same." in made.accuracy.notes
 
 
 def test_runs_of_one_method_have_different_labels(study, tmp_path):

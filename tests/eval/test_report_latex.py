@@ -83,8 +83,8 @@ def test_a_sequence_has_one_name(folder: Path) -> None:
     result("octomap", "hall").save(folder / "3" / "result.json")
     result("dufomap", hall).save(folder / "4" / "result.json")
     made = tables(Study(collect([folder]), folder))
-    assert [board.title for board in made.single] == ["street", "hall"]
-    assert len(made.single[1].rows) == 3
+    assert [board.title for board in made.boards] == ["street", "hall"]
+    assert len(made.boards[1].rows) == 3
     assert "hall: roof in some results; the points are the same." in made.accuracy.notes
     text = report(folder, format="latex")
     assert text.count("roof") < text.count("hall")
