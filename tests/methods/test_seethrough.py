@@ -215,7 +215,7 @@ def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
         "least": 0.12,
     }
     case |= change
-    ways = KERNELS.places.WAYS
+    ways = KERNELS.moves.WAYS
     outline = np.abs(ways) @ [2.0, 1.0]
     reach = np.array(
         [outline, outline, 2 * outline, outline + ways @ [case["shift"], 0.0], outline], np.float32
@@ -242,7 +242,7 @@ def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
         np.zeros_like(evidence),
         0.5,
     )
-    result = KERNELS.places.moved(
+    result = KERNELS.moves.moved(
         *tracks, reach, 0.3, case["steps"], case["least"], centres, *of_places
     )
     assert result.tolist() == [found, False, False, found, False]
@@ -469,7 +469,7 @@ def test_objects_continue_those_with_which_they_share_most(
     objects = [each for scan in (scans[::-1] if back else scans) for each in (scan, [9])]
     at, found = np.cumsum([0, *map(len, objects)]), np.zeros(8, np.bool_)
     found[6 if back else 0] = True
-    KERNELS.places.follow(np.array([0, 2, 4, 6, 8]), at, np.concatenate(objects), 10, found, back)
+    KERNELS.tracks.follow(np.array([0, 2, 4, 6, 8]), at, np.concatenate(objects), 10, found, back)
     assert found[[6, 4, 2, 0] if back else [0, 2, 4, 6]].tolist() == [True, True, *dynamic]
     assert not found[1::2].any()
 
@@ -479,7 +479,7 @@ def followed(scans: list[list[list[int]]], dynamic: list[bool]) -> list[bool]:
     objects = [each for scan in scans for each in scan]
     firsts, at = (np.cumsum([0, *map(len, each)]) for each in (scans, objects))
     columns, found = np.concatenate(objects), np.array(dynamic)
-    KERNELS.places.follow(firsts, at, columns, columns.max() + 1, found, False)
+    KERNELS.tracks.follow(firsts, at, columns, columns.max() + 1, found, False)
     return found.tolist()
 
 

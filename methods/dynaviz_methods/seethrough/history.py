@@ -134,7 +134,7 @@ class History:
         )
         at = np.searchsorted(pairs, np.arange(count + 1) + REACH << X_SHIFT)
         cells, columns = np.unique(pairs & (1 << X_SHIFT) - 1, return_inverse=True)
-        reach = KERNELS.places.reaches(points, objects, count)
+        reach = KERNELS.moves.reaches(points, objects, count)
         self._visits[number] = Visits(
             number, places, begins, columns.astype(np.int32), at, cells, reach
         )
@@ -224,11 +224,11 @@ class History:
             PLACE * self._grid.resolution
         )
         moves = reach, self._guard, SCANS, self._weights[1], centres.astype(np.float32)
-        dynamic |= KERNELS.places.moved(*tracks, *moves, *of_places)
+        dynamic |= KERNELS.moves.moved(*tracks, *moves, *of_places)
         forward = dynamic.copy()
         backward = dynamic.copy()
-        KERNELS.places.follow(*tracks, forward, False)
-        KERNELS.places.follow(*tracks, backward, True)
+        KERNELS.tracks.follow(*tracks, forward, False)
+        KERNELS.tracks.follow(*tracks, backward, True)
         return forward | backward
 
     def forget(self, number: int) -> None:

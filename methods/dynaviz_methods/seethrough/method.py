@@ -2,36 +2,60 @@
 stands.
 
     for each scan
-        ground: the lowest layers of its points that a slope from the level under the sensor can
-                reach, without pits, within 10 % of their mean incline; level the scan if over 10 cm
-                off the ground of earlier ones
-        hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into
-                the sky
-        clear:  of the voxels that its rays cross, those without a hit of it or of the scan before
-                within ``guard``
-        object: join points ``ground_height`` to 4.5 m above the ground across ``join_angle`` plus
-                2.7 ray spacings
-    prior:      p = ``prior`` min(scans / 64, 1)
-    voxel:      c scans saw it clear, q crossed it near such a hit, h hit it. With a = near q + hit
-                h, its evidence is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) /
-                (c + a + 1)
-    place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels,
-                weighted with h; only of voxels that contained points of objects, and that another
-                scan hit or crossed
-    certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan,
-                which weigh 1 + |k|
-    moved:      an object has moved if its outline, within guard / 2, is displaced by at least 2
-                guard in over ``hit`` of 64 scans, nothing was at its new end before or at its old
-                one since, and one is dynamic
-    track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time
-                or back: it covers most 0.8 m columns of each (none with a static one as small),
-                they half of its, most visited by then; or one covers most of it, where its track
-                came first; dynamic ones alone, less others, had as many columns
-    share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first
-                0, computed twice
-    point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
-    foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e
-                > p in its voxel
+        find the ground
+            the lowest layers of its points that a slope from the level under the sensor reaches;
+            deeper ones are reflections; it rises by at most 10 % beyond the scan's mean incline
+            if it is over 10 cm off the ground of earlier scans, level the scan: its points, its
+            rays and its sensor
+        mark what it hit: the voxels of its points
+        mark what it saw clear
+            cast a ray to one point in each cube of 2 x 2 x 2 voxels, and into the sky
+            a crossed voxel is clear if neither this scan nor the one before has a hit within
+            ``guard`` of it; otherwise it is grazed
+        join its points to objects
+            those from ``ground_height`` to 4.5 m above the ground, across an angle of
+            ``join_angle`` plus 2.7 times that between rays
+
+    the evidence of a voxel: was it empty at times?
+        for it:     the scans that saw it clear
+        against it: the scans that grazed it, weighted with ``near``, and those that hit it,
+                    weighted with ``hit``
+        if more is for it: (for - against) / (for + against), in full if ``votes`` scans saw it
+        clear
+        otherwise: the prior times (for - against) / (for + against + 1), which is below 0
+        the prior rises with the number of scans, to ``prior`` for 64
+
+    the evidence of a place, 4 x 4 x 8 voxels
+        the mean of its voxels, less the prior, weighted with their hits; in full from ``votes``
+        hits on
+        only of voxels that contained points of objects, and that another scan hit or crossed
+
+    twice
+        how certain it is that an object is dynamic, from -1 to 1
+            the mean of its places: their evidence and what they inherit, in ``votes``; certain
+            places weigh up to twice as much
+        an object is dynamic if its certainty is above 1/2; the second time also if
+            it moved
+                its outline is displaced as a whole, by at least twice ``guard``, against more
+                than ``hit`` of the up to 64 objects that it continues, or that continue it
+                nothing was at its new end before, nothing at its old end since, and one of both
+                is dynamic
+            it continues dynamic objects, forwards or backwards in time, seen from above
+                as a whole: it covers most columns of each, and they cover at least half of it,
+                and most of those of its columns that anything had visited by then
+                as a part: one of them covers most of it, in columns to which a track came before
+                anything else
+                a column where something static, no larger, was in the same scan does not count
+                in both cases, its track must once have had as many columns that are dynamic by
+                themselves, less others, as it has columns
+        what a place inherits
+            the mean certainty of the objects that were there, 1 for dynamic ones
+
+    a point is removed if
+        the evidence of its place, and ``inherit`` times what the place inherits if that is above
+        0, are above 0 together
+        or it is low, next to such a point, and 5 cm above the ground or in a voxel whose evidence
+        is above the prior
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points
 that are not finite and points more than 32768 voxels from the world's origin are kept unjudged.

@@ -3,7 +3,7 @@
 Their evidence, and what they inherit from objects.
 
 Place p is in block p >> 2. A scan visits the places that contain points of its objects. Those that
-were visited have rows. Seen from above, objects are in columns of blocks.
+were visited have rows.
 """
 
 import numpy as np
@@ -13,9 +13,6 @@ from dynaviz.kernels.blocks import BIT_OF, SEQUENCE
 
 ONE = np.uint64(1)
 HALF = np.uint64(0xFFFFFFFF)
-WAYS = np.array([[1, 0], [0, 1], [1, 1], [1, -1], [-1, 0], [0, -1], [-1, -1], [-1, 1]])
-# eight horizontal unit vectors, opposite ones four apart
-WAYS = WAYS / np.hypot(WAYS[:, :1], WAYS[:, 1:])
 
 
 @njit(cache=True, nogil=True)
@@ -151,7 +148,7 @@ def evidence(places, up, hits, clear, grazed, weights):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _total(r, own, shared, link):
+def combined(r, own, shared, link):
     """The evidence of the place in a row, with what it inherits; above 0 if it is dynamic.
 
     See ``certainties``.
@@ -178,7 +175,7 @@ def certainties(rows, begins, own, shared, link, full):
         total = 0.0
         weight = 0.0
         for k in range(begins[of], begins[of + 1]):
-            f = min(max(_total(rows[k], own, shared, link) / full, -1.0), 1.0)
+            f = min(max(combined(rows[k], own, shared, link) / full, -1.0), 1.0)
             total += f * (1.0 + abs(f))
             weight += 1.0 + abs(f)
         found[of] = total / max(weight, 1.0)
@@ -212,237 +209,6 @@ def share(firsts, numbers, rows, begins, certain, size):
     return shared, source
 
 
-@njit(cache=True, nogil=True)
-def reaches(points, objects, count):
-    """(O, 8) float32, metres, world frame.
-
-    How far each object reaches in the ``WAYS``, along x + y and x - y as well.
-
-    Args:
-        points: (N, 3) float32, metres, world frame; objects: (N,) int32, that of each, -1 for none.
-        count: number of objects.
-    """
-    found = np.full((count, 8), np.float32(-np.inf))
-    slant = np.float32(WAYS[2, 0])
-    for i in range(len(points)):
-        of = objects[i]
-        if of >= 0:
-            x = points[i, 0]
-            y = points[i, 1]
-            along = x, y, slant * (x + y), slant * (x - y)
-            for k in range(4):
-                found[of, k] = max(found[of, k], along[k])
-                found[of, k + 4] = max(found[of, k + 4], -along[k])
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _way(before, after, guard):
-    """Along which of the ``WAYS`` an object is displaced, given how far it reaches.
-
-    (8,) metres each; -1 if it is not.
-
-    By a translation of at least twice the guard, to half of it.
-    """
-    x = (after[0] - before[0] - after[4] + before[4]) / 2
-    y = (after[1] - before[1] - after[5] + before[5]) / 2
-    if (
-        x * x + y * y < 4 * guard * guard
-    ):  # most objects stand: to see this first saves a third of the time
-        return -1
-    way = 0
-    far = 0.0
-    for k in range(8):
-        along = x * WAYS[k, 0] + y * WAYS[k, 1]
-        if abs(after[k] - before[k] - along) > guard / 2:
-            return -1
-        if along > far:
-            way = k
-            far = along
-    return way if far >= 2 * guard else -1
-
-
-@njit(cache=True, nogil=True)
-def _end(rows, way, limit, centres, scans, than, own, shared, link):
-    """Whether most places of an object beyond a limit along one of the ``WAYS`` are of scans after
-    one; are dynamic.
-    """
-    count = 0
-    free = 0
-    dynamic = 0
-    for r in rows:
-        if centres[r, 0] * WAYS[way, 0] + centres[r, 1] * WAYS[way, 1] > limit:
-            count = count + 1
-            free = free + (scans[r] > than)
-            dynamic += _total(r, own, shared, link) > 0
-    return 2 * free > count, 2 * dynamic > count
-
-
-@njit(cache=True, nogil=True)
-def _before(firsts, at, columns, width):
-    """(O,) int64: the object that each one continues, as in ``moved``; -1 for none."""
-    found = np.full(len(at) - 1, -1)
-    shared = np.zeros(len(at) - 1, np.int64)
-    last = np.full(width, -1)
-    for t in range(len(firsts) - 1):
-        for of in range(firsts[t], firsts[t + 1]):
-            most = -1
-            its = columns[at[of] : at[of + 1]]
-            for c in its:
-                other = last[c]
-                if other >= 0:
-                    shared[other] += 1
-                    most = other if most < 0 or shared[other] > shared[most] else most
-            if most >= 0 and 2 * shared[most] > min(at[most + 1] - at[most], len(its)):
-                found[of] = most
-            for c in its:
-                if last[c] >= 0:
-                    shared[last[c]] = 0
-        for of in range(firsts[t], firsts[t + 1]):
-            last[columns[at[of] : at[of + 1]]] = of
-    return found
-
-
-@njit(cache=True, nogil=True)
-def moved(
-    firsts, at, columns, width, reach, guard, steps, least, centres, rows, begins, own, shared, link
-):
-    """(O,) bool: objects that moved along themselves, of whose middle nothing was ever seen clear.
-
-    Each object continues the last one with which it shares most columns, if these are more than
-    half of one of them. It is displaced from where an earlier one was, up to ``steps`` before it,
-    if its outline is, if nothing was at its new end before and nothing at the old one since, and if
-    one of these is dynamic; all for most places. An object has moved if it is displaced from more
-    than a share of the earlier ones, or of the later ones.
-
-    Args:
-        firsts, at, columns, width: as in ``follow``.
-        reach: (O, 8) float32, metres, as from ``reaches``; guard: metres; steps: number of scans;
-            least: the share.
-        centres: (R + 1, 2) float32, metres: those of places; rows, begins, own, shared, link: as in
-            ``certainties``.
-    """
-    came = np.full(len(own), -1)
-    gone = np.empty(len(own), np.int64)
-    when = np.empty(len(reach), np.int64)
-    for t in range(len(firsts) - 1):
-        when[firsts[t] : firsts[t + 1]] = t
-        for r in rows[begins[firsts[t]] : begins[firsts[t + 1]]]:
-            came[r] = t if came[r] < 0 else came[r]
-            gone[r] = -t
-    of_places = (own, shared, link)
-    before = _before(firsts, at, columns, width)
-    compared = np.zeros((2, len(reach)), np.int64)
-    displaced = np.zeros((2, len(reach)), np.int64)
-    for of in range(len(reach)):
-        other = before[of]
-        mine = rows[begins[of] : begins[of + 1]]
-        for _ in range(steps):
-            if other < 0:
-                break
-            way = _way(reach[other], reach[of], guard)
-            compared[0, of] += 1
-            compared[1, other] += 1
-            if way >= 0:
-                back = (way + 4) % 8
-                theirs = rows[begins[other] : begins[other + 1]]
-                new, one = _end(
-                    mine, way, reach[other, way], centres, came, when[other], *of_places
-                )
-                old, two = _end(theirs, back, reach[of, back], centres, gone, -when[of], *of_places)
-                if new and old and (one or two):
-                    displaced[0, of] += 1
-                    displaced[1, other] += 1
-            other = before[other]
-    over = displaced > least * compared
-    return over[0] | over[1]
-
-
-@njit(cache=True, nogil=True)
-def follow(firsts, at, columns, width, dynamic, back):
-    """Follow dynamic objects through the scans.
-
-    An object that continues a dynamic one is dynamic, too.
-
-    It continues the last dynamic objects of its columns if it covers more than half of each, and
-    they, together, at least half of it and more than half of those of its columns that any object
-    had visited by then; or as a part of one, which covers more than half of it, in columns to which
-    a track came before anything else. Where a track begins, something else may have been. A column
-    does not count for a dynamic object if one that is not dynamic, nor larger, was there in the
-    same scan: what is there afterwards may be the other one. In both cases, the columns of those on
-    the way to it that are dynamic by themselves, less those of the others, must once have been as
-    many as its own: a fragment tells nothing about what it merges into, nor errors of single scans
-    about what stands.
-
-    Args:
-        firsts: (F + 1,) int64: the first object of each scan.
-        at: (O + 1,) int64: where the columns of each object begin; columns: (K,) int32, below
-            ``width``.
-        dynamic: (O,) bool. Modified.
-        back: backwards in time.
-    """
-    scans = len(firsts) - 1
-    shared = np.zeros(len(dynamic), np.int64)
-    last = np.full(width, -1)
-    free = np.zeros(width, np.bool_)
-    came = np.zeros(len(dynamic), np.bool_)
-    # steps: the first of a column, of an object
-    since = np.full(width, scans)
-    when = np.empty(len(dynamic), np.int64)
-    # by object: columns of its track that are dynamic, less others
-    run = np.where(dynamic, np.diff(at), -np.diff(at))
-    shown = np.maximum(run, 0)  # the most that these ever were
-    # by column: columns of the smallest object of the scan that is not dynamic
-    smallest = np.empty(width, np.int64)
-    for step in range(scans):
-        t = scans - 1 - step if back else step
-        for of in range(firsts[t], firsts[t + 1]):
-            its = columns[at[of] : at[of + 1]]
-            size = at[of + 1] - at[of]
-            when[of] = step
-            for c in its:
-                if last[c] >= 0:
-                    shared[last[c]] += 1
-            covered = 0
-            part = 0
-            known = 0
-            seen = -1
-            most = 0
-            before = 0
-            for c in its:
-                other = last[c]
-                covers = other >= 0 and 2 * shared[other] > at[other + 1] - at[other]
-                within = other >= 0 and 2 * shared[other] > size and free[c]
-                covered = covered + covers
-                part = part + within
-                if covers or within:
-                    most = max(most, shown[other])
-                    before = max(before, run[other])
-                if covers:
-                    seen = max(seen, when[other])
-            for c in its:
-                known += since[c] <= seen
-            if (2 * covered > known and 2 * covered >= size) or 2 * part > size:
-                came[of] = True
-                run[of] = max(run[of] + before, 0)
-                shown[of] = max(most, run[of])
-                dynamic[of] |= shown[of] >= size
-            for c in its:
-                if last[c] >= 0:
-                    shared[last[c]] = 0
-        smallest[:] = width + 1
-        for of in range(firsts[t], firsts[t + 1]):
-            for c in columns[at[of] : at[of + 1]]:
-                free[c] |= dynamic[of] and came[of] and since[c] > step
-                since[c] = min(since[c], step)
-                if not dynamic[of]:
-                    smallest[c] = min(smallest[c], at[of + 1] - at[of])
-        for of in range(firsts[t], firsts[t + 1]):
-            for c in columns[at[of] : at[of + 1]]:
-                if dynamic[of] and smallest[c] > at[of + 1] - at[of]:
-                    last[c] = of
-
-
 @njit(cache=True, nogil=True, parallel=True)
 def outcomes(voxels, bands, rows, own, shared, link, hits, clear, grazed, weights, codes):
     """(N,) uint8: the reason code of each point, without feet.
@@ -467,7 +233,7 @@ def outcomes(voxels, bands, rows, own, shared, link, hits, clear, grazed, weight
             found[i] = near_ground
         elif bands[i] > 2:
             found[i] = above
-        elif _total(r, own, shared, link) > 0:
+        elif combined(r, own, shared, link) > 0:
             found[i] = seen if own[r] > 0 else followed
         else:  # most voxels were never clear: to read one count is faster than all
             some = clear[v >> 9, v & 511] and of_voxel(v, hits, clear, grazed, weights) > 0
