@@ -122,6 +122,7 @@ class Explored:
         others = {key: other for key, other in self.runs.items() if key != letter}
         shared = {key: run.wrong_too(other) for key, other in others.items()}
         same = {key: cards.pairs(run, self._cards[letter], self._cards[key]) for key in others}
+        ceiling = run.result.sections.ceiling
         return {
             "title": run.title,
             "method": run.result.method,
@@ -129,6 +130,7 @@ class Explored:
             "sequence": run.result.sequence.name,
             "frames": run.frames,
             "scores": {name: run.result.metrics.get(name) for name in ("SA", "DA", "AA")},
+            "possible": str(ceiling.possible) if ceiling and ceiling.possible else None,
             "truth": run.result.has_truth,
             "compares": run.compares,
             "path": shlex.quote(str(run.path)),

@@ -100,3 +100,12 @@ class Ceiling(Struct, frozen=True):
     lost_SA: Mapping[str, Estimate] = {}
     lost_DA: Mapping[str, Estimate] = {}
     objects: tuple[ObjectCeiling, ...] = ()
+
+    def of_kept(self) -> str:
+        """What the kept dynamic points lacked, in words; empty if unknown."""
+        if self.kept_seen is None or self.kept_unseen is None or self.possible is None:
+            return ""
+        return (
+            f"{self.kept_seen} with evidence that was not used, {self.kept_unseen} without; "
+            f"the drive allows {self.possible}"
+        )

@@ -142,12 +142,15 @@ class Objects:
         return found
 
     def behaviour(self, rows: NDArray[np.void]) -> Behaviour | None:
-        """What the object did to which wrong points belong, given the rows of their case.
+        """What the object did in the frames of a case, given the rows of its wrong points.
 
         None if unknown.
         """
         track = self._track(rows)
-        return behaviour_of_object(track, self._frame) if len(track) else None
+        if not len(track):
+            return None
+        frames = int(rows["frame"].min()), int(rows["frame"].max())
+        return behaviour_of_object(track, self._frame, frames)
 
     def spans(self, rows: NDArray[np.void]) -> Spans:
         """When the object was moving, standing, and kept: mostly, partly or not.
@@ -204,19 +207,27 @@ def groups_of(scan: Scan, chosen: NDArray[np.intp], objects: bool) -> I64:
     return groups
 
 
-def behaviour_of_object(track: NDArray[np.void], end: int) -> Behaviour:
-    """What a dynamic object did; the first of the rules below that applies.
+def behaviour_of_object(
+    track: NDArray[np.void], end: int, frames: tuple[int, int] | None = None
+) -> Behaviour:
+    """What a dynamic object did in some frames; the first of the rules below that applies.
 
     Args:
         track: (R,) rows of the object, as in ``Cases.rows``, one per frame, in the order of frames.
         end: the last frame of the drive.
+        frames: the first and the last one to describe, with the object in at least one; None for
+            all in which it was seen.
     """
     first = int(track["frame"][0])
     last = int(track["frame"][-1])
-    stood = standing(track)
-    if stood[-1]:
+    begin, over = (first, last) if frames is None else frames
+    here = slice(*np.searchsorted(track["frame"], [begin, over + 1]))
+    part = track[here]
+    every = standing(track)
+    stood = every[here]
+    if stood[-1] and every[here.stop :].all():
         return Behaviour.STOOD
-    if stood[0]:
+    if stood[0] and every[: here.start].all():
         return Behaviour.WAITED_FIRST
     if stood.any():
         return Behaviour.STOPPED
@@ -224,11 +235,11 @@ def behaviour_of_object(track: NDArray[np.void], end: int) -> Behaviour:
         return Behaviour.END_OF_DRIVE
     if first > LATE * end and last > end - END:
         return Behaviour.ARRIVED_LATE
-    if track["ranges"].sum() > FAR * track["points"].sum():
+    if part["ranges"].sum() > FAR * part["points"].sum():
         return Behaviour.FAR_AWAY
     return (
         Behaviour.TOUCHED
-        if 2 * track["touching"].sum() > track["points"].sum()
+        if 2 * part["touching"].sum() > part["points"].sum()
         else Behaviour.PASSED_BY
     )
 

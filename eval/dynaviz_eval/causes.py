@@ -16,6 +16,7 @@ from dynaviz.contracts.method import Cause as Word
 from dynaviz.scores.looks import CaseLooks
 
 MOST = 0.5  # of the points or looks
+ENOUGH = 0.25  # of the points on a surface, to speak of the angles of all
 STOOD = 4  # times as many hits as passes: what was passed now and then still stood there
 FEW = 1  # other scans that hit a place in the median: it was seen in one or two scans
 IN_CELL = 0.5  # metres: a mover in the cell of a point, or in the next
@@ -31,7 +32,7 @@ class MeasuredCause(StrEnum):
     BETWEEN = "between rays"
     OUTSIDE = "outside of the view"
     OUTWEIGHED = "seen through, but hits outweigh"
-    FORGOTTEN = "seen through before it came, not after"
+    FORGOTTEN = "seen through before it came"
     DEMAND = "seen through, but the method demands more"
     LIMIT = "seen through, but beyond a limit"
     GROUND = "seen through, but taken for ground"
@@ -142,7 +143,8 @@ def _removed(looks: CaseLooks) -> MeasuredCause:
         return MeasuredCause.NO_RAY_CELL if looks.mover <= IN_CELL else MeasuredCause.NO_RAY_MOVER
     if looks.hits <= FEW:
         return MeasuredCause.BRIEF
-    if looks.grazing is not None and looks.grazing > 100 * MOST:
+    grazing = looks.grazing is not None and looks.grazing > 100 * MOST
+    if grazing and looks.surface >= 100 * ENOUGH:
         return MeasuredCause.GRAZING
     smooth = looks.surface >= 100 * MOST
     if smooth and looks.close is not None and looks.close >= 100 * MOST:

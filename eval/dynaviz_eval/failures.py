@@ -35,7 +35,7 @@ SPAN = 20.0
 ONE_PATCH = (
     0.9  # of the points of a case: with fewer in its largest patch, it is described as patches
 )
-LOOKED_AT = 64  # points of each listed case at which looks are taken
+LOOKED_AT = 128  # points of each listed case at which looks are taken
 NOT_LISTED = "not listed, not measured"
 NO_REASON = Reason("unknown code", "the method gives no known reason")
 _UNLABELLED = 1 << 32  # the group of class 0

@@ -64,6 +64,25 @@ def test_what_an_object_did(x, first, fields, expected):
     assert behaviour_of_object(track(x, first, **fields), 99) is expected
 
 
+ROUTE = np.concatenate([STAND, DRIVE, STAND + 29, DRIVE + 30, STAND + 59])
+
+
+@pytest.mark.parametrize(
+    ("frames", "expected"),
+    [
+        ((2, 9), Behaviour.WAITED_FIRST),
+        ((25, 45), Behaviour.PASSED_BY),
+        ((25, 60), Behaviour.STOPPED),
+        ((52, 68), Behaviour.STOPPED),
+        ((75, 95), Behaviour.PASSED_BY),
+        ((75, 119), Behaviour.STOOD),
+        ((110, 112), Behaviour.STOOD),
+    ],
+)
+def test_what_an_object_did_in_some_frames(frames, expected):
+    assert behaviour_of_object(track(ROUTE), 200, frames) is expected
+
+
 def test_an_object_moves_only_if_both_ends_of_its_box_do():
     rows = track(STAND)
     rows["high"][:, 0] += np.arange(20)  # the sensor drives past and sees more and more of it
@@ -141,10 +160,10 @@ def scene(frame: int, car: float, caught: bool, instances: bool) -> Labelled:
 
 
 @pytest.mark.parametrize("instances", [True, False])
-def test_the_whole_object_counts_also_where_the_method_was_right(instances):
+def test_the_motion_in_the_frames_of_a_case_counts(instances):
     frames = [scene(f, min(f, 20.0), caught=f > 8, instances=instances) for f in range(45)]
     (case,) = section(*frames)["cases"]
-    assert (case["last_frame"], case["behaviour"]) == (8, "stood still until the end")
+    assert (case["last_frame"], case["behaviour"]) == (8, "passed by")
     assert case["what"] == ("car" if instances else "moving object")
     assert ("car 7, 9 frames" in case["sentence"]) == instances
 

@@ -309,3 +309,20 @@ def test_variants_show_their_pareto_front(study):
     assert words.count("v2") == 0  # beaten by v0 in both
     assert {"v0", "v1", "v3"} <= set(words)
     assert "no other variant beats in both" in page.text
+
+
+def test_the_ceiling_has_a_table_and_a_bar_of_each_method(study):
+    shares = {"removed_seen": 70.0, "removed_unseen": 10.0, "kept_seen": 15.5, "kept_unseen": 4.5}
+    ceiling = {
+        "possible": {"percent": 85.5, "error": 0.8},
+        "possible_by_object": {"percent": 100.0, "error": 0.0},
+        **{name: {"percent": share, "error": 0.0} for name, share in shares.items()},
+    }
+    known = result("octomap_g", sections={"ceiling": ceiling})
+    text = report(study(known, result("erasor")), "md")
+    (row,) = markdown_table(text, "What the drive showed: hall")
+    assert row["method"] == "octomap_g"
+    assert row["possible DA [%]: by point"] == "85.5 ±0.8"
+    assert row["dynamic points [%]: kept, evidence"] == "15.5"
+    assert "Dynamic points on hall by answer" in report(study(known), "html")
+    assert "What the drive showed" not in report(study(result("erasor")), "md")

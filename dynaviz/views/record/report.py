@@ -150,6 +150,9 @@ def _by_cause(result: Result, kind: str) -> Iterator[str]:
     yield f"**{KINDS[kind]}" + (
         f": {100 - score:.2f} % of {metric} lost**" if score is not None else "**"
     )
+    ceiling = result.sections.ceiling
+    if metric == "DA" and ceiling is not None and (words := ceiling.of_kept()):
+        yield f"Of DA: {words} (in %)."
     by: dict[str, list[tuple[int, FailureCase]]] = {cause: [] for cause in costs}
     for number, case in cases:
         by.setdefault(case.cause or "unknown", []).append((number, case))

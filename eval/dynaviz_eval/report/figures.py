@@ -35,7 +35,7 @@ class ReportFigure:
     caption: str
 
 
-def _figure(
+def panels(
     name: str, caption: str, count: int, height: float, draw: Callable[[int, Axes], str]
 ) -> ReportFigure:
     """Draw panels; ``draw`` draws a panel by number and returns its description."""
@@ -73,7 +73,7 @@ def scores(boards: Sequence[ScoreBoard]) -> ReportFigure | None:
         return f"Static against dynamic accuracy on {board.title}"
 
     caption = "Static against dynamic accuracy; the best corner is top right. Thin lines: equal AA."
-    return _figure("scores", caption, len(drawn), 3.8, draw) if drawn else None
+    return panels("scores", caption, len(drawn), 3.8, draw) if drawn else None
 
 
 def speed(boards: Sequence[ScoreBoard]) -> ReportFigure | None:
@@ -100,7 +100,7 @@ def speed(boards: Sequence[ScoreBoard]) -> ReportFigure | None:
     caption = "Runtime against AA; the best corner is top left."
     if any(row.result.instrumented for board in drawn for row in _timed(board)):
         caption += " Hollow: measured while states were recorded, so slower than the method alone."
-    return _figure("speed", caption, len(drawn), 3.4, draw) if drawn else None
+    return panels("speed", caption, len(drawn), 3.4, draw) if drawn else None
 
 
 MOST_NAMES = (
@@ -160,7 +160,7 @@ def accuracy_by(board: ScoreBoard, name: str, of: str) -> ReportFigure | None:
         f"Accuracy against {TITLES[of]} on {board.title}. Hollow markers: fewer than {FEW} points."
     )
     caption += BEST * (len(drawn) < len(board.rows))
-    return _figure(name, caption, len(kinds), 3.2, draw) if kinds else None
+    return panels(name, caption, len(kinds), 3.2, draw) if kinds else None
 
 
 def _any_score(rows: Iterable[ScoreRow], of: str, score: str) -> bool:
@@ -194,7 +194,7 @@ def distances(board: ScoreBoard, name: str) -> ReportFigure | None:
         "Right: number of wrong points."
     )
     caption += BEST * (len(drawn) < len(board.rows))
-    return _figure(name, caption, len(titles), 0.42 * len(drawn) + 1.5, draw) if drawn else None
+    return panels(name, caption, len(titles), 0.42 * len(drawn) + 1.5, draw) if drawn else None
 
 
 def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str) -> None:
@@ -285,7 +285,7 @@ def pareto(board: ScoreBoard, name: str) -> ReportFigure | None:
         "both; "
         "hollow: all others."
     )
-    return _figure(name, caption, len(views), 3.2, draw) if views else None
+    return panels(name, caption, len(views), 3.2, draw) if views else None
 
 
 def _draw_variants(axes: Axes, view: _Variants) -> None:

@@ -16,6 +16,7 @@ from dynaviz.reports.reporting import Study
 from dynaviz.scores.spans import shared_objects
 from dynaviz_eval.report import birdseye, figures
 from dynaviz_eval.report.boards import ScoreBoard, ScoreRow, best_of_each_method, by_method
+from dynaviz_eval.report.ceilings import ceiling_figure
 from dynaviz_eval.report.gallery import gallery
 from dynaviz_eval.report.spots import note
 from dynaviz_eval.report.table import Column
@@ -78,6 +79,7 @@ def _part(study: Study, board: ScoreBoard, of_board: BoardTables, number: int) -
         "board": board,
         "tables": of_board,
         "figures": {
+            "ceiling": ceiling_figure(board, f"evidence-{number}"),
             "distances": figures.distances(board, f"distances-{number}"),
             "ranges": figures.accuracy_by(board, f"ranges-{number}", "range"),
             "heights": figures.accuracy_by(board, f"heights-{number}", "height"),

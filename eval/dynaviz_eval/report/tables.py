@@ -28,6 +28,7 @@ from dynaviz_eval.report.boards import (
     setting,
 )
 from dynaviz_eval.report.by_protocol import ByProtocol, protocol_table
+from dynaviz_eval.report.ceilings import ceiling_table
 from dynaviz_eval.report.errors import cause_table, interval_table, removal_table
 from dynaviz_eval.report.objects import object_table
 from dynaviz_eval.report.published_tables import benchmark_table, protocols_table
@@ -56,6 +57,7 @@ class BoardTables:
         published: published numbers of the public benchmark next to the board's own;
             published_protocols: those under other protocols.
         removals: removed points of runs without ground truth.
+        ceiling: what the drive showed of its moving objects, and what each method made of it.
         cases: the places at which methods fail; ``case_list``: the same as a table.
         objects: what became of each object.
         range, height: accuracy by range from the sensor, and by height above the ground.
@@ -66,6 +68,7 @@ class BoardTables:
     published: Table | None
     published_protocols: Table | None
     removals: Table
+    ceiling: Table
     cases: Sequence[SharedCase]
     case_list: Table
     objects: Table
@@ -76,9 +79,10 @@ class BoardTables:
     def every(self) -> list[Table]:
         """All tables with rows, in the order of a report."""
         first = (self.main, self.scores, self.published, self.published_protocols, self.removals)
+        by_place = (self.range, self.height)
         return [
             table
-            for table in (*first, self.case_list, self.objects, self.range, self.height)
+            for table in (*first, self.ceiling, self.case_list, self.objects, *by_place)
             if table and table.rows
         ]
 
@@ -160,6 +164,7 @@ def _of_board(scores: ByProtocol, board: ScoreBoard, number: int) -> BoardTables
         benchmark_table(scores, board, number),
         protocols_table(scores, board, number),
         removal_table(board, number),
+        ceiling_table(board, number),
         cases,
         case_table(board, cases, number),
         object_table(board, number),
