@@ -284,7 +284,7 @@ def real_table() -> str:
     for drive in (each["name"] for each in stored("real")["drives"]):
         known = [real_scores(drive, poses, tuned) for tuned in (False, True) for poses in POSES]
         names: dict[tuple[str, ...], list[str]] = {}
-        for name in real_scores(drive, "small-gicp"):
+        for name in real_scores(drive, "small-gicp") | real_scores(drive, "given"):
             instead = "unproven" if (drive, name) in searched else ""
             cells = tuple(str(each.get(name, instead)) for each in known)
             names.setdefault(cells, []).append(f"`{name}`")

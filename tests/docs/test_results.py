@@ -62,7 +62,9 @@ def test_a_row_follows_from_the_file(cell: dict[str, Any]) -> None:
 
 
 def test_every_drive_has_every_method_with_both_poses() -> None:
-    methods = {cell["method"] for cell in STORED["cells"]}
+    """Methods of packages in ``examples/`` may lack some."""
+    others = {path.name for path in (ROOT / "examples").iterdir()}
+    methods = {cell["method"] for cell in STORED["cells"]} - others
     for drive in STORED["drives"]:
         for poses in ("given", "small-gicp"):
             cells = [
@@ -70,7 +72,7 @@ def test_every_drive_has_every_method_with_both_poses() -> None:
                 for c in STORED["cells"]
                 if (c["drive"], c["poses"]) == (drive["name"], poses) and not c["set"]
             ]
-            assert sorted(cell["method"] for cell in cells) == sorted(methods)
+            assert sorted({cell["method"] for cell in cells} - others) == sorted(methods)
             assert {len(cell["removed"]) for cell in cells} == {len(drive["movers"])}
 
 
