@@ -7,6 +7,8 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 
 from dynaviz.arrays import Bool
@@ -15,16 +17,18 @@ from dynaviz.cleaning.doubt import doubt_in
 from dynaviz.cleaning.followed import Reviewed
 from dynaviz.cleaning.map_settings import MapSettings
 from dynaviz.cleaning.trajectory import UsedPoses
-from dynaviz.contracts.attributes import facts_of
-from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.attributes import facts_of, origin_of
+from dynaviz.contracts.scan import Scan, Sequence, stream
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.cleaned_map import Judgement, region_is_empty, write_maps
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.reviews.applying import Applied, seen_in
+from dynaviz.reviews.candidates import Candidate, candidates
 from dynaviz.reviews.decisions import VERDICTS, Decisions, ReviewDecision, Undo, Verdict
 from dynaviz.reviews.regions import Region, Span
+from dynaviz.reviews.survey import Survey
 from dynaviz.runs.reviewed import decisions_of
 from dynaviz.runs.run import open_run
 from dynaviz.scores.answers import RunAnswers
@@ -100,9 +104,52 @@ class Review:
             for position in range(len(self._sequence))
         ]
 
+    @property
+    def sequence(self) -> OpenedSequence:
+        """The sequence of the run."""
+        return self._sequence
+
+    def survey(self, progress: Progress = silent) -> Survey:
+        """All points of the run and its candidates, in memory.
+
+        Args:
+            progress: called with a phase, the number of frames done and their total.
+        """
+        labels = self._run.labels
+        total = len(self._sequence)
+        self._check_labels(len(labels))
+        points = sum(map(len, labels))
+
+        def scans() -> Iterator[Scan]:
+            for done, scan in enumerate(stream(self._sequence), 1):
+                yield scan
+                progress("looking for places", done, total)
+
+        return Survey(scans(), labels, origin_of(self._sequence), points)
+
+    @cached_property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """The places that are worth a decision, found without ground truth.
+
+        The one that is expected to change most is first.
+
+        Raises:
+            DataError: for labels of another sequence.
+        """
+        labels = self._run.labels
+        self._check_labels(len(labels))
+        return candidates(stream(self._sequence), labels, origin_of(self._sequence))
+
+    def _check_labels(self, frames: int) -> None:
+        if frames != len(self._sequence):
+            total = len(self._sequence)
+            problem = f"has labels for {frames} frames, {self._sequence.name} has {total}"
+            file = self._run.file("labels.npz")
+            raise DataError(file, problem, hint="Give the sequence of the run")
+
     def decide(
         self,
-        about: Region,
+        about: Region | Candidate,
         verdict: Verdict,
         *,
         span: Span | None = None,
@@ -113,7 +160,7 @@ class Review:
         """Decide what a part of the world is, and add it to the file.
 
         Args:
-            about: a region, metres and times of the source.
+            about: a candidate, or a region, metres and times of the source.
             verdict: ``static``, ``dynamic`` or ``undecided``.
             span: when; None for the frames of an object, and all times of other regions.
             what: the part in a few words.
@@ -126,8 +173,16 @@ class Review:
         if verdict not in VERDICTS:
             raise UsageError(f"verdict {verdict}: choose from {', '.join(VERDICTS)}")
         result = self._run.result
+        key = ""
+        answered = ""
+        if isinstance(about, Candidate):
+            key = about.key
+            answered = about.answered
+            what = what or about.title
+            about = about.region
         made = ReviewDecision(
             verdict, about, span, what=what, reason=reason, reviewer=reviewer,
+            key=key, answered=answered,
             by=f"{result.method} on {result.sequence.name}", seen=seen_in(self._sequence, 0),
         )  # fmt: skip
         return self._decisions.add(made)
@@ -182,9 +237,7 @@ class Review:
             hint = "Give it in the coordinates of the map: 'dynaviz info' shows their extent"
             raise UsageError(f"--region {region}: contains no point of {opened.name}. {hint}")
         labels = saved.labels
-        if len(labels) != len(opened):
-            problem = f"has labels for {len(labels)} frames, {opened.name} has {len(opened)}"
-            raise DataError(saved.file("labels.npz"), problem, hint="Give the sequence of the run")
+        self._check_labels(len(labels))
         reviewed = Reviewed.of(opened, Decisions(self.file))
         reasons = reasons_by_frame(saved.file("labels.npz"), labels) if settings.mark else None
         followed = UsedPoses(opened)

@@ -27,6 +27,7 @@ from dynaviz.explain.strip import strip
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.reruns import Rerun
+from dynaviz.explorer.reviewing import Reviewing
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.reviews.decisions import CORRECTED, LABELS, ReviewDecision, case_key
 from dynaviz.reviews.regions import ObjectRegion, Piece
@@ -77,6 +78,7 @@ class Explored:
         self.runs = dict(zip(LETTERS, [run, *others], strict=False))
         self._cards = {letter: cards.cards(each) for letter, each in self.runs.items()}
         self._reruns: list[Rerun] = []
+        self._reviews: dict[str, Reviewing] = {}
         self.compare: Callable[[ExploredRun, ExploredRun], str] = _unserved
         self._ledgers = Ledgers(self.runs)
         self._lock = threading.Lock()
@@ -93,10 +95,16 @@ class Explored:
             "dial": self._turn,
             "run": self._rerun_state,
             "rescored": self._rescored,
+            "review": lambda query: self._review(query).overview,
+            "review_place": lambda query: self._review(query).place(query),
+            "written": lambda query: self._review(query).written,
         }
         self.changes: dict[str, Callable[[Query], Any]] = {
             "correct": self._correct,
             "run": self._rerun,
+            "decide": lambda query: self._review(query).decide(query),
+            "undo": lambda query: self._review(query).undo(query),
+            "write": lambda query: self._review(query).write(query),
         }
         self.contents: dict[str, tuple[Callable[[Query], bytes], str]] = {
             "loading": (lambda query: self.runs[self._letter(query)].focus.loading(), RRD),
@@ -105,6 +113,7 @@ class Explored:
             "drawing": (self._draw, PNG),
             "picture": (lambda query: self._shot(query, "case.png", SIZE), PNG),
             "clip": (lambda query: self._shot(query, "case.mp4", CLIP_SIZE), MP4),
+            "review_points": (lambda query: self._review(query).points(query), RRD),
         }
 
     def close(self) -> None:
@@ -112,6 +121,8 @@ class Explored:
         self._ledgers.close()
         for rerun in self._reruns:
             rerun.close()
+        for review in self._reviews.values():
+            review.close()
 
     def _overview(self, query: Query) -> dict[str, Any]:
         """Facts of the runs, and their cases."""
@@ -345,6 +356,14 @@ class Explored:
     def _rescored(self, query: Query) -> dict[str, str]:
         """The scores against the ground truth with the decisions, in a line."""
         return {"text": str(reviewed_scores(self.runs[self._letter(query)].path))}
+
+    def _review(self, query: Query) -> Reviewing:
+        """The review of a run, which starts when it is asked for first."""
+        letter = self._letter(query)
+        with self._lock:
+            if letter not in self._reviews:
+                self._reviews[letter] = Reviewing(self.runs[letter])
+            return self._reviews[letter]
 
     def _layout(self, query: Query) -> bytes:
         """The layout of a case, a frame or the map, as a recording."""

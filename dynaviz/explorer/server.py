@@ -45,7 +45,9 @@ SCRIPTS = (
     "dom.js",
     "keys.js",
     "plot.js",
+    "places.js",
     "rectangle.js",
+    "review.js",
     "share.js",
     "state.js",
     "viewer.js",
@@ -54,7 +56,9 @@ SCRIPTS = (
 )
 FILES = {
     "index.html": "text/html",
+    "review.html": "text/html",
     "style.css": "text/css",
+    "review.css": "text/css",
     **dict.fromkeys(SCRIPTS, "text/javascript"),
 }
 VIEWER = {

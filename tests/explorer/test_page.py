@@ -585,3 +585,42 @@ def test_runs_of_clean_and_of_arrays_explain_a_point(
         assert "Point 7 of frame 1" in page.tab.inner_text("#point")
         assert not page.errors
         page.tab.close()
+
+
+def test_a_review_is_done_by_keys(browser: Any, runs: dict[str, Path], tmp_path: Path) -> None:
+    run = shutil.copytree(runs["fine"], tmp_path / "fine")
+    with dv.explore(run) as explorer:
+        page = Page(browser, explorer)
+        page.tab.goto(explorer.url + "review.html")
+        page.tab.wait_for_selector("body[data-ready=review]")
+        idle = "!document.body.hasAttribute('data-busy')"
+        first = page.tab.inner_text("#question")
+        page.tab.keyboard.press("r")
+        page.wait("document.querySelectorAll('.card .verdict').length === 1")
+        page.wait(f"{idle} && document.getElementById('question').textContent !== {first!r}")
+        assert "by 1 decision" in page.tab.inner_text("#balance")
+        page.tab.keyboard.press("k")
+        page.wait("document.querySelectorAll('.card .verdict').length === 2")
+        page.tab.keyboard.press("u")
+        page.wait("document.querySelectorAll('.card .verdict').length === 1")
+        page.wait(idle)
+        box = page.tab.locator("#views canvas").first.bounding_box()
+        assert box is not None
+        page.tab.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.2 * box["height"])
+        page.tab.mouse.down()
+        page.tab.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 0.8 * box["height"])
+        page.tab.mouse.up()
+        assert "at all times" in page.tab.inner_text("#tool")
+        page.tab.keyboard.press("f")
+        assert "from frame" in page.tab.inner_text("#tool")
+        page.tab.keyboard.press("k")
+        page.wait("/by 2 decisions/.test(document.getElementById('balance').textContent)")
+        page.tab.keyboard.press("w")
+        page.wait("/^Written to/.test(document.getElementById('tool').textContent)")
+        assert (run / "reviewed.pcd").is_file()
+        page.tab.goto(explorer.url + "review.html")  # it goes on where it was left
+        page.tab.wait_for_selector("body[data-ready=review]")
+        assert page.tab.locator(".card .verdict").count() == 1
+        assert page.tab.locator(".card[aria-current] .verdict").count() == 0
+        assert not page.errors
+        page.tab.close()

@@ -2,7 +2,7 @@
 import { make } from './dom.js'
 
 const KEYS = {
-  j: 'next case', k: 'previous case', space: 'play or pause', f: 'the frame', m: 'the map', c: 'the case again', '/': 'search', '?': 'these keys', Escape: 'close',
+  j: 'next case', k: 'previous case', space: 'play or pause', f: 'the frame', m: 'the map', c: 'the case again', '/': 'search', r: 'review the map', '?': 'these keys', Escape: 'close',
 }
 
 /** Call the actions of keys, unless the user is typing. */

@@ -263,6 +263,7 @@ async function explain(answer, asked) {
 listen({
   j: () => step(1), k: () => step(-1), f: () => layout('frame'), m: () => layout('map'), c: () => layout('case'),
   space: () => Object.values(viewers)[0]?.play(!Object.values(viewers)[0].playing),
+  r: () => by('review').click(),
   '/': () => by('filters').elements.search.focus(),
 })
 addEventListener('unhandledrejection', event => say(event.reason.message))
