@@ -28,7 +28,7 @@ from dynaviz.reviews.applying import Applied, seen_in
 from dynaviz.reviews.candidates import Candidate, candidates
 from dynaviz.reviews.decisions import VERDICTS, Decisions, ReviewDecision, Undo, Verdict
 from dynaviz.reviews.regions import Region, Span
-from dynaviz.reviews.survey import Survey
+from dynaviz.reviews.survey import ReviewSurvey
 from dynaviz.runs.reviewed import decisions_of
 from dynaviz.runs.run import open_run
 from dynaviz.scores.answers import RunAnswers
@@ -109,7 +109,7 @@ class Review:
         """The sequence of the run."""
         return self._sequence
 
-    def survey(self, progress: Progress = silent) -> Survey:
+    def survey(self, progress: Progress = silent) -> ReviewSurvey:
         """All points of the run and its candidates, in memory.
 
         Args:
@@ -125,7 +125,7 @@ class Review:
                 yield scan
                 progress("looking for places", done, total)
 
-        return Survey(scans(), labels, origin_of(self._sequence), points)
+        return ReviewSurvey(scans(), labels, origin_of(self._sequence), points)
 
     @cached_property
     def candidates(self) -> tuple[Candidate, ...]:

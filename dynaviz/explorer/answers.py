@@ -27,7 +27,7 @@ from dynaviz.explain.strip import strip
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.reruns import Rerun
-from dynaviz.explorer.reviewing import Reviewing
+from dynaviz.explorer.reviewing import ReviewPage
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.reviews.decisions import CORRECTED, LABELS, ReviewDecision, case_key
 from dynaviz.reviews.regions import ObjectRegion, Piece
@@ -78,7 +78,7 @@ class Explored:
         self.runs = dict(zip(LETTERS, [run, *others], strict=False))
         self._cards = {letter: cards.cards(each) for letter, each in self.runs.items()}
         self._reruns: list[Rerun] = []
-        self._reviews: dict[str, Reviewing] = {}
+        self._reviews: dict[str, ReviewPage] = {}
         self.compare: Callable[[ExploredRun, ExploredRun], str] = _unserved
         self._ledgers = Ledgers(self.runs)
         self._lock = threading.Lock()
@@ -357,12 +357,12 @@ class Explored:
         """The scores against the ground truth with the decisions, in a line."""
         return {"text": str(reviewed_scores(self.runs[self._letter(query)].path))}
 
-    def _review(self, query: Query) -> Reviewing:
+    def _review(self, query: Query) -> ReviewPage:
         """The review of a run, which starts when it is asked for first."""
         letter = self._letter(query)
         with self._lock:
             if letter not in self._reviews:
-                self._reviews[letter] = Reviewing(self.runs[letter])
+                self._reviews[letter] = ReviewPage(self.runs[letter])
             return self._reviews[letter]
 
     def _layout(self, query: Query) -> bytes:

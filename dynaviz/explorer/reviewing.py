@@ -6,7 +6,7 @@ import os
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from dynaviz.errors import DynavizError, UsageError
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.reviews.applying import NONE
 from dynaviz.reviews.candidates import Candidate
-from dynaviz.reviews.decisions import VERDICTS, ReviewDecision, Verdict
+from dynaviz.reviews.decisions import VERDICTS, ReviewDecision
 from dynaviz.reviews.regions import BoxRegion, Region, Span, clock_of, time_of
-from dynaviz.reviews.survey import Survey
+from dynaviz.reviews.survey import ReviewSurvey
 
 SHOWN_BESIDE = np.array([3.0, 3.0, 1.5])  # metres around a candidate that a view shows at least
 BESIDE = np.array([10.0, 10.0, 6.0])  # metres around it whose points are drawn, if they fit
@@ -33,7 +33,7 @@ FALLBACK = "reviewed.pcd"  # the map of a run that wrote none
 Query = Mapping[str, str]
 
 
-class Reviewing:
+class ReviewPage:
     """The review of a run, in the background of its page.
 
     Args:
@@ -44,7 +44,7 @@ class Reviewing:
         self._run = run
         self._lock = threading.Lock()
         self._review: Review | None = None
-        self._survey: Survey | None = None
+        self._survey: ReviewSurvey | None = None
         self._state: dict[str, Any] = {"phase": "opening the sequence", "done": 0, "total": 0}
         self._written: dict[str, Any] = {}
         self._closed = threading.Event()
@@ -158,7 +158,7 @@ class Reviewing:
             what = f"box of {_size(about)} m"
             span = self._span(query)
         review.decide(
-            about, cast(Verdict, verdict), span=span, what=what,
+            about, verdict, span=span, what=what,
             reviewer=query.get("reviewer", ""), reason=query.get("reason", ""),
         )  # fmt: skip
         return self.decided
@@ -210,7 +210,7 @@ class Reviewing:
             raise UsageError("the explorer was closed")
         self._state = {"phase": phase, "done": done, "total": total}
 
-    def _ready(self) -> tuple[Survey, Review]:
+    def _ready(self) -> tuple[ReviewSurvey, Review]:
         if self._survey is None or self._review is None:
             raise UsageError(self._state.get("error", "the places are being looked for"))
         return self._survey, self._review

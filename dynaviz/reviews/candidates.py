@@ -21,7 +21,7 @@ from dynaviz.arrays import F64, I32, I64, Bool
 from dynaviz.contracts.scan import Scan
 from dynaviz.reviews.calibration import FEATURES, probability
 from dynaviz.reviews.regions import ObjectRegion, Piece, clock_of, packed_cells, time_of
-from dynaviz.reviews.visibility import EDGE, Looks, PlaceCounter, Places
+from dynaviz.reviews.visibility import EDGE, PlaceCounter, RangeImages, SeenPlaces
 
 JOIN = 2  # places to an edge of the cells in which objects are joined
 PASSES = 2  # scans that pass through a place that a mover left
@@ -92,7 +92,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundCandidates:
     """The candidates of a run.
 
     Attributes:
@@ -101,7 +101,7 @@ class Found:
     """
 
     candidates: tuple[Candidate, ...]
-    looks: Looks
+    looks: RangeImages
 
 
 def candidates(
@@ -120,7 +120,7 @@ def candidates(
     return found_in(zip(scans, labels, strict=True), origin).candidates
 
 
-def found_in(scans: Iterable[tuple[Scan, Bool]], origin: F64 | None = None) -> Found:
+def found_in(scans: Iterable[tuple[Scan, Bool]], origin: F64 | None = None) -> FoundCandidates:
     """The candidates, and what the scans saw.
 
     Args:
@@ -145,17 +145,17 @@ def found_in(scans: Iterable[tuple[Scan, Bool]], origin: F64 | None = None) -> F
     order = sorted(found, key=lambda each: (-each.expected, each.rows[0]))[:KEEP]
     offset = np.zeros(3) if origin is None else origin
     named = tuple(each.named(k + 1, places, times, offset) for k, each in enumerate(order))
-    return Found(named, counter.looks)
+    return FoundCandidates(named, counter.looks)
 
 
-def _stands(places: Places) -> Bool:
+def _stands(places: SeenPlaces) -> Bool:
     """(N,) bool: rows of places that many scans hit."""
     scans = int(places.frame.max(initial=0)) + 1
     found: Bool = places.hits[places.place] >= STANDS * min(scans, LONG)
     return found
 
 
-def _kept_objects(places: Places) -> Bool:
+def _kept_objects(places: SeenPlaces) -> Bool:
     """(N,) bool: rows of kept objects with the size of a road user, which were not seen through."""
     rows = np.flatnonzero(
         (places.kept >= np.maximum(places.removed, 1)) & ~places.ground & ~_looks_empty(places)
@@ -189,7 +189,7 @@ class _Found:
     def expected(self) -> float:
         return self.wrong * self.points
 
-    def named(self, number: int, places: Places, times: list[Scan], origin: F64) -> Candidate:
+    def named(self, number: int, places: SeenPlaces, times: list[Scan], origin: F64) -> Candidate:
         frames = places.frame[self.rows]
         cells = places.cell[places.place[self.rows]].astype(np.int64)
         clock = clock_of(times[int(frames[0])])
@@ -227,7 +227,7 @@ class _Found:
         )
 
 
-def _looks_empty(places: Places) -> Bool:
+def _looks_empty(places: SeenPlaces) -> Bool:
     """(N,) bool: rows of places that rays passed through in most of the scans that saw them."""
     passes = places.passes[places.place]
     hits = places.hits[places.place]
@@ -235,14 +235,14 @@ def _looks_empty(places: Places) -> Bool:
     return found
 
 
-def _kept_ghosts(places: Places) -> Bool:
+def _kept_ghosts(places: SeenPlaces) -> Bool:
     """(N,) bool: rows with kept points in places that were empty for most of the time."""
     mostly = places.kept >= np.maximum(places.removed, 1)
     found: Bool = mostly & ~places.ground & _looks_empty(places)
     return found
 
 
-def _found(places: Places, answered: Answer, chosen: Bool) -> list[_Found]:
+def _found(places: SeenPlaces, answered: Answer, chosen: Bool) -> list[_Found]:
     """Objects of chosen rows, with the probability that their answer is wrong."""
     rows = np.flatnonzero(chosen)
     if not len(rows):
@@ -287,7 +287,7 @@ def _joined(frame: I32, cell: I32) -> I64:
 
 
 def _features(
-    places: Places, answered: Answer, rows: I64, own: I32, other: I32
+    places: SeenPlaces, answered: Answer, rows: I64, own: I32, other: I32
 ) -> dict[str, float]:
     """The features of an object, by the names in ``FEATURES``."""
     weights = own[rows].astype(np.float64)

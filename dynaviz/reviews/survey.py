@@ -14,7 +14,7 @@ from dynaviz.reviews.applying import NONE, Applied, ByHand
 from dynaviz.reviews.candidates import Candidate, found_in, without_points
 from dynaviz.reviews.decisions import ReviewDecision
 from dynaviz.reviews.regions import ObjectRegion, Region
-from dynaviz.reviews.visibility import Looks
+from dynaviz.reviews.visibility import RangeImages
 
 MOST = 40_000_000  # points in memory; of longer drives, every second, third, ... point is kept
 
@@ -38,7 +38,7 @@ class Around:
     verdicts: U8
 
 
-class Survey:
+class ReviewSurvey:
     """All points of a run, its candidates, and what its scans saw.
 
     Args:
@@ -66,7 +66,7 @@ class Survey:
         self._parts: list[tuple[F32, Bool]] = []
         found = found_in(self._gathered(zip(scans, labels, strict=True)), origin)
         self.candidates: tuple[Candidate, ...] = found.candidates
-        self.looks: Looks = found.looks
+        self.looks: RangeImages = found.looks
         self._sort()
 
     def _gathered(self, scans: Iterable[tuple[Scan, Bool]]) -> Iterator[tuple[Scan, Bool]]:
@@ -160,4 +160,4 @@ class Survey:
         for part in np.split(order, ends):
             if len(part):
                 scan = self._times[int(frames[part[0]])]
-                yield part, dataclasses.replace(scan, points=self._xyz[rows[part]], origins=None)
+                yield part, dataclasses.replace(scan, points=self._xyz[rows[part]])

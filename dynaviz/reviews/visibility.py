@@ -21,7 +21,7 @@ BEYOND = (0.5, 0.02)  # metres, and metres per metre of range: a ray this much l
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class SeenPlaces:
     """The places that points are in, scan by scan.
 
     Attributes:
@@ -43,7 +43,7 @@ class Places:
     passes: I32
 
 
-class Looks:
+class RangeImages:
     """What scans saw at a place: range images of a sequence.
 
     Args:
@@ -90,28 +90,29 @@ class PlaceCounter:
         self._poses.append(scan.T_world_sensor)
 
     @property
-    def looks(self) -> Looks:
+    def looks(self) -> RangeImages:
         """What the scans saw."""
-        return Looks([image.astype(np.float16) for image in self._images], self._poses)
+        return RangeImages([image.astype(np.float16) for image in self._images], self._poses)
 
-    def finish(self) -> Places:
+    def finish(self) -> SeenPlaces:
         """The places, and how many scans passed through each."""
         lengths = [len(keys) for keys, *_ in self._rows]
         every = np.concatenate([keys for keys, *_ in self._rows] or [np.empty(0, np.int64)])
         keys, place, hits = np.unique(every, return_inverse=True, return_counts=True)
         cell = unpack(keys)
-        middle = (cell + 0.5) * EDGE
+        middle: F64 = ((cell + 0.5) * EDGE).astype(np.float64)
         passes = np.zeros(len(keys), np.int32)
         for image, pose in zip(self._images, self._poses, strict=True):
             near = np.flatnonzero(np.abs(middle - pose[:3, 3]).max(1) < FAR)
             passes[near] += _passed(image, middle[near], pose)
-        columns = [np.concatenate([row[k] for row in self._rows] or [[]]) for k in (1, 2, 3)]
-        return Places(
+        none = np.empty(0, np.int32)
+        rows = self._rows or [(none.astype(np.int64), none, none, none.astype(np.bool_))]
+        return SeenPlaces(
             np.repeat(np.arange(len(lengths), dtype=np.int32), lengths),
             place.astype(np.int32),
-            columns[0].astype(np.int32),
-            columns[1].astype(np.int32),
-            columns[2].astype(np.bool_),
+            np.concatenate([row[1] for row in rows]),
+            np.concatenate([row[2] for row in rows]),
+            np.concatenate([row[3] for row in rows]),
             cell,
             hits.astype(np.int32),
             passes,
@@ -137,8 +138,9 @@ def _image(points: F32, T_world_sensor: F64) -> F32:
     shortest = np.full(ROWS * COLUMNS, np.inf, np.float32)
     np.minimum.at(shortest, pixel, ranges.astype(np.float32))
     seen = np.isfinite(shortest)
-    image = shortest.reshape(ROWS, COLUMNS)
-    image = ndimage.minimum_filter(image, 3, mode=("nearest", "wrap")).ravel()
+    image = ndimage.minimum_filter(
+        shortest.reshape(ROWS, COLUMNS), 3, mode=("nearest", "wrap")
+    ).ravel()
     found: F32 = np.where(seen, image, np.float32(0))
     return found
 

@@ -15,7 +15,7 @@ from dynaviz.reviews.applying import NONE, Applied
 from dynaviz.reviews.calibration import FEATURES, WEIGHTS, probability
 from dynaviz.reviews.candidates import Candidate, candidates
 from dynaviz.reviews.decisions import ReviewDecision
-from dynaviz.reviews.survey import Survey
+from dynaviz.reviews.survey import ReviewSurvey
 from dynaviz.sources.datasets.convert import convert
 
 ROOM = room(frames=8, rays=4000)
@@ -54,10 +54,14 @@ def test_the_points_of_a_candidate_are_those_that_its_region_contains() -> None:
         assert [each.number for each in found] == list(range(1, len(found) + 1))
         assert [each.expected for each in found] == sorted(e.expected for e in found)[::-1]
         for each in found:
-            inside = [chosen(each, scan) for scan in ROOM.scans]
+            times = {piece.time for piece in each.region.pieces}  # between them it is on its way
+            inside = [
+                chosen(each, scan) & (scan.index in times or scan.stamp_ns in times)
+                for scan in ROOM.scans
+            ]
             assert sum(int(rows.sum()) for rows in inside) == pytest.approx(
                 each.points, rel=0.05, abs=5
-            )  # more where it is on its way between two frames
+            )
             frames = [k for k, rows in enumerate(inside) if rows.any()]
             assert each.first_frame <= min(frames)
             assert max(frames) <= each.last_frame
@@ -83,7 +87,7 @@ def test_a_probability_grows_with_what_speaks_for_an_error() -> None:
 
 def test_a_survey_counts_what_writing_the_labels_changes() -> None:
     answers = [truth(scan) for scan in ROOM.scans]
-    survey = Survey(ROOM.scans, answers, ORIGIN)
+    survey = ReviewSurvey(ROOM.scans, answers, ORIGIN)
     decisions = [ReviewDecision("static", survey.candidates[0].region)]
     decisions += [ReviewDecision("dynamic", each.region) for each in survey.candidates[1:4]]
     applied = Applied(decisions)
@@ -97,7 +101,7 @@ def test_a_survey_counts_what_writing_the_labels_changes() -> None:
 
 def test_what_is_around_a_place_is_what_the_scans_have_there() -> None:
     answers = [truth(scan) for scan in ROOM.scans]
-    survey = Survey(ROOM.scans, answers, ORIGIN)
+    survey = ReviewSurvey(ROOM.scans, answers, ORIGIN)
     first = survey.candidates[0]
     low = np.array(first.low) - 1
     high = np.array(first.high) + 1
