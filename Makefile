@@ -6,7 +6,7 @@ PIP = $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 # pip writes no bytecode here, to install in half the time. If Python may not write it either, every process compiles its imports again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test slow smoke browser lint types boundscheck coverage fuzz mutants docs check clean
+.PHONY: law demo test slow smoke browser lint types boundscheck coverage fuzz mutants docs check clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.user
@@ -49,6 +49,9 @@ coverage: .venv/.dev
 
 fuzz: .venv/.dev  # read damaged files for 45 s; FUZZ_SEED=1000 selects others
 	cd tests && $(abspath $(BIN))/python -m helpers.fuzzing -j 2 -n 5000 --seconds 45
+
+law: .venv/.dev  # write 3,000 situations and read them: each map is right, or what is wrong has a name
+	cd tests && $(abspath $(BIN))/python -m helpers.situations -j 2 -n 3000 -s 1000
 
 mutants: .venv/.dev  # change the evaluation in one place at a time; list the changes that its tests miss
 	$(BIN)/python tests/mutants.py

@@ -137,7 +137,7 @@ def _show_result(result: Result) -> None:
 
 
 def _sequence_facts(sequence: Sequence) -> dict[str, str]:
-    from dynaviz.contracts.attributes import facts_of
+    from dynaviz.contracts.attributes import facts_of, precision_of
     from dynaviz.contracts.scan import base_of
     from dynaviz.sources.summary import summarize
 
@@ -145,6 +145,7 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
         counted = _Counted(sequence)
         summary = summarize(counted, lambda done: report("read", done, len(sequence)))
     source = base_of(sequence)
+    precision = precision_of(sequence, 0)
     low = summary.extent.low
     high = summary.extent.high
     return {
@@ -158,6 +159,7 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
         "rate": counted.rate(),
         "extent": " x ".join(f"{size:.1f}" for size in high - low) + " m",
         "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
+        **({} if precision is None else {"coordinates": str(precision)}),
         "digest": summary.digest,
         **facts_of(sequence),
     }

@@ -224,6 +224,38 @@ def attributes_of(sequence: Sequence, position: int) -> Attributes:
     return attributes_of(sequence.whole, position) if isinstance(sequence, SequenceView) else {}
 
 
+@dataclass(frozen=True)
+class Precision:
+    """Of the coordinates in a source.
+
+    Attributes:
+        dtype: their type, or float32 if it holds all of them.
+        step: (3,) float64, metres: the smallest difference in x, y and z that it can hold there.
+    """
+
+    dtype: str
+    step: F64
+
+    def __str__(self) -> str:
+        coarse = f", in steps of {self.step.max():.2g} m" if self.step.max() > 1e-4 else ""
+        return f"{self.dtype}{coarse}"
+
+
+def precision_of(sequence: Sequence, position: int) -> Precision | None:
+    """Of the coordinates of a frame; None for sources that do not state them."""
+    given = coordinates_of(sequence, position)
+    if given is None:
+        return None
+    known = given[np.isfinite(given).all(1)]
+    if not len(known):
+        return None
+    single = known.astype(np.float32)
+    farthest = np.abs(known).max(0)
+    if (single == known).all():
+        return Precision("float32", np.spacing(farthest.astype(np.float32)).astype(np.float64))
+    return Precision(f"{given.dtype}", np.spacing(farthest.astype(given.dtype)).astype(np.float64))
+
+
 def origin_of(sequence: Sequence) -> F64:
     """(3,) float64, metres: what to add to coordinates of a sequence to get those of its source."""
     known = knowing(sequence, HasOrigin)  # type: ignore[type-abstract]  # a protocol

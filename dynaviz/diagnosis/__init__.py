@@ -21,6 +21,7 @@ from dynaviz.diagnosis.columns import check_columns
 from dynaviz.diagnosis.drift import AWAY, DRIFT, check_drift, looks
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
 from dynaviz.diagnosis.frame_groups import GROUPS, FrameGroups
+from dynaviz.diagnosis.precision import check_precision
 from dynaviz.diagnosis.sampling import looks as looks_at_places
 from dynaviz.diagnosis.sampling import sampling
 from dynaviz.diagnosis.scans import ScanChecker
@@ -88,10 +89,10 @@ def doctor(
     if not checker.positions:
         raise errors[0]
     findings += _unreadable(errors)
-    if columns := list(check_columns(sequence, checker.indices[0], checker.positions[0])):
+    if files := _of_files(sequence, checker):
         # the rest follows
         return Diagnosis.of(
-            sequence.name, len(sequence), len(chosen), columns + findings, of_poses=columns
+            sequence.name, len(sequence), len(chosen), files + findings, of_poses=files
         )
     groups = FrameGroups(sequence)
     alignment_findings = list(_check_alignment(groups, progress))
@@ -142,9 +143,7 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     if not groups.checker.positions:
         return ()
     try:
-        found = list(
-            check_columns(sequence, groups.checker.indices[0], groups.checker.positions[0])
-        )
+        found = _of_files(sequence, groups.checker)
         if not found and any(_check_alignment(groups, silent, quick=True)):
             found = list(_check_alignment(groups, silent))
         if not any(each.name not in KEEPS_RANGES for each in found):
@@ -153,6 +152,15 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
         return ()
     likely = (each for each in found if each.confidence <= Confidence.LIKELY)
     return tuple(PoseFinding(each.name, each.problem, each.fix, each.option) for each in likely)
+
+
+def _of_files(sequence: Sequence, checker: ScanChecker) -> list[Finding]:
+    """Findings on the first file, from which all others would follow."""
+    position = checker.positions[0]
+    return [
+        *check_columns(sequence, checker.indices[0], position),
+        *check_precision(sequence, position),
+    ]
 
 
 def _quick_places(groups: FrameGroups) -> list[tuple[int, int]]:

@@ -41,6 +41,7 @@ EXACT = 0.15  # metres by which registration may then still move a scan
 EXPLAINED = 0.6  # share of what registration gains
 OVERLAPS = 0.35  # of a good explanation
 UNSTEADY = 0.7  # change of the step from scan to scan, as a share of it
+REACH = 5.0  # metres from a sensor to what it sees
 POINTS = 4000  # of a scan that are registered
 
 
@@ -89,7 +90,7 @@ def quality(views: Pairs, each: Interpretation = AS_GIVEN) -> Quality:
             (
                 a.surface.overlap(moved),
                 a.surface.overlap(geometry.apply(change, moved)),
-                float(np.linalg.norm(shift)) + np.radians(angle(change)) * 5.0,
+                _far(float(np.linalg.norm(shift)), angle(change)),
             )
         )
         placed.append(_placed(b, each))
@@ -128,6 +129,11 @@ def weighed(
         return finding
     problem = f"as given, {quality(views)}; nobody can tell why. Best fit: {each.name}, but {found}"
     return cannot_tell(problem)
+
+
+def _far(metres: float, degrees: float) -> float:
+    """Metres by which a motion moves what is ``REACH`` away."""
+    return metres + float(np.radians(degrees)) * REACH
 
 
 def _rare(finding: Finding) -> bool:
@@ -248,7 +254,7 @@ def misplaced(
     if not views or np.mean([a.surface.overlap(b.points) for a, b in views]) > sparse:
         return None
     drifts = [Drift.between(a, b) for a, b in views]
-    clear = [each for each in drifts if each.clear and each.metres > SHIFT]
+    clear = [each for each in drifts if each.clear and _far(each.metres, each.degrees) > SHIFT]
     if len(clear) < max(2, len(views) / 2):
         return None
     explained = (path and delay_finding(views, others(), path)) or mount_finding(views, others)

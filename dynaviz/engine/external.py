@@ -132,6 +132,10 @@ class ExternalMap:
         reasons[chosen] = np.where(near, _NEAR, _FAR)
         return Labels(reasons == _FAR, reasons)
 
+    def distances(self, points: F32, limit: float) -> F32:
+        """(N,) float32, metres from (N, 3) points to the map; infinite beyond the limit."""
+        return self._tree.distance(points, limit)
+
     def nearby(self, points: F32) -> Bool:
         """(N,) bool: whether a point of the map lies within 1 m of each of (N, 3) points."""
         return self._tree.within(points, _NEARBY)

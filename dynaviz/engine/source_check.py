@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.arrays import F64, all_finite
+from dynaviz.arrays import F32, F64, all_finite
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label
 from dynaviz.engine.external import External, ExternalMap, PrecomputedLabels, TakesMap
@@ -23,6 +23,14 @@ from dynaviz.sources.summary import SequenceSummary
 # percent of static points near the map, below which map and sequence are in different frames
 _OTHER_FRAME = 1.0
 _SAMPLE = 50  # use every N-th static point for that check
+_KEPT = 20_000  # of these points that are kept for the checks below
+_FEWEST = 1000  # of them, for these checks
+_MISSED = 0.1  # share of them beyond the radius from which the reason is looked for
+_HIGHEST = 4.0  # metres that a map may be too high or too low
+_HEIGHTS = 0.1  # metres; steps of these heights
+_FITS = 0.5  # share of the points that are in the map after it was moved
+_BOXES = 20  # parts of the map in which the distance of its points is measured
+_BOX = 2.0  # metres; half of their edge
 _LISTED = 8  # numbers of unanswered frames in a remark, at most
 
 
@@ -120,6 +128,8 @@ class MapCheck(SourceCheck):
         super().__init__(map_.path)
         self._map = map_
         self._static = self._nearby = 0  # points
+        self._sample: list[F32] = []
+        self._sampled = 0
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Show the map to the metrics."""
@@ -138,6 +148,9 @@ class MapCheck(SourceCheck):
         static = static[all_finite(static)]
         self._static += len(static)
         self._nearby += int(self._map.nearby(static).sum())
+        if self._sampled < _KEPT:
+            self._sample.append(static)
+            self._sampled += len(static)
 
     def section(self) -> Source:
         """File, digest, numbers of points, and remarks on anything unusual about the map."""
@@ -161,6 +174,80 @@ class MapCheck(SourceCheck):
                 f"probably in another frame. The map spans {map_}; the sequence {sequence}. "
                 "Write the map in metres, in the world frame of the sequence"
             )
+        elif self._sampled >= _FEWEST:
+            points = np.concatenate(self._sample)
+            if why := _moved(self._map, points) or _thinned(self._map, points):
+                yield f"{name}: {why}"
+
+
+def _moved(map_: ExternalMap, points: F32) -> str:
+    """That a map is too high or too low, in words; empty if it is not.
+
+    Args:
+        map_: the map.
+        points: (N, 3) float32, metres: static points of the sequence.
+    """
+    missed = map_.distances(points, map_.params.radius) > map_.params.radius
+    if missed.mean() < _MISSED:
+        return ""
+    points = points[:: 1 + len(points) // 3000]
+    near = 2 * _HEIGHTS
+
+    def cost(height: float) -> float:
+        """Mean distance of points of the moved map, metres, at most ``near``."""
+        raised = points + np.array([0.0, 0.0, height], np.float32)
+        return float(np.minimum(map_.distances(raised, near), near).mean())
+
+    coarse = np.arange(-_HIGHEST, _HIGHEST + 1e-9, _HEIGHTS).tolist()
+    best = min(coarse, key=cost)
+    fine = (best + np.arange(-_HEIGHTS, _HEIGHTS + 1e-9, 0.01)).tolist()
+    best = min(fine, key=cost)
+    if abs(best) < _HEIGHTS or cost(best) > _FITS * cost(0.0):
+        return ""
+    word = "higher" if best > 0 else "lower"
+    change = "Subtract" if best > 0 else "Add"
+    return (
+        f"is {abs(best):.2f} m {word} than the sequence: moved so, its points lie "
+        f"{100 * cost(best):.0f} cm from static ones instead of {100 * cost(0.0):.0f}. {change} it "
+        "in z, or give the poses with which the map was made"
+    )
+
+
+def _thinned(map_: ExternalMap, points: F32) -> str:
+    """That points of a map are farther apart than the radius, in words; empty if they are not.
+
+    Arguments as of ``_moved``.
+    """
+    radius = map_.params.radius
+    apart = _spacing(map_.points)
+    distances = map_.distances(points, 3 * apart)
+    missed = distances > radius
+    filled = missed & (distances < 3 * apart)
+    if apart < radius or missed.mean() < _MISSED or filled.mean() < 0.5 * missed.mean():
+        return ""
+    enough = float(np.percentile(distances[distances < 3 * apart], 99))
+    return (
+        f"its points are {apart:.2f} m apart, as if it was thinned, but the radius is {radius:g} "
+        f"m: {filled.mean():.0%} of the static points count as removed for that alone. Give "
+        f"--radius {np.ceil(100 * enough) / 100:g}, or the map before it was thinned"
+    )
+
+
+def _spacing(points: F32) -> float:
+    """Metres from a point of a map to the next one, median over some parts of it."""
+    from scipy.spatial import cKDTree
+
+    random = np.random.default_rng(0)
+    found = []
+    for centre in points[random.integers(0, len(points), _BOXES)]:
+        inside = np.ones(len(points), np.bool_)
+        for column, at in zip(points.T, centre, strict=True):
+            inside &= np.abs(column - at) < _BOX
+        part = np.compress(inside, points, 0)
+        if len(part) > 1:
+            apart = np.asarray(cKDTree(part).query(part, [2])[0])  # 1 is the point itself
+            found.append(float(np.median(apart)))
+    return float(np.median(found)) if found else 0.0
 
 
 def source_check(external: External) -> SourceCheck:

@@ -20,6 +20,8 @@ _COLUMNS = (3, 4, 5, 6)
 _SAMPLE = 2000
 _FEWEST = 50
 _FARTHEST = 1e7
+_SHUFFLED = 0.5  # ratio of steps to distances of points in no order
+_CLEARLY = 0.1  # by which columns must differ more than with four
 
 FIELDS = ("x", "y", "z", "intensity", "ring", "time")
 
@@ -62,7 +64,8 @@ def detect_columns(path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Detect the columns of a file of float32 values from its content.
 
     Scanners measure neighbours one after the other, so that consecutive points are close together.
-    With a wrong number of columns they are not. Four columns, as in KITTI, are assumed unless
+    With a wrong number of columns they are not. If the points were shuffled, the columns tell:
+    with a wrong number, each mixes values of all. Four columns, as in KITTI, are assumed unless
     another number fits clearly better.
 
     Returns:
@@ -85,6 +88,8 @@ def detect_columns(path: str | os.PathLike[str]) -> tuple[str, ...]:
     best = next(n for n in spread if spread[n] <= 1.5 * min(spread.values()))
     if 4 in spread and not spread[best] < 0.5 * spread[4]:
         best = 4
+    if _SHUFFLED < spread[best] < np.inf:
+        best = _by_distributions(values, [*spread])
     rows = values[: len(values) // best * best].reshape(-1, best)
     names = list(FIELDS[:4][:best])
     for k in range(4, best):
@@ -98,6 +103,35 @@ def detect_columns(path: str | os.PathLike[str]) -> tuple[str, ...]:
         name = "ring" if whole else "time"
         names.append(name if name not in names else f"column_{k}")
     return tuple(names)
+
+
+def _by_distributions(values: F32, numbers: Sequence[int]) -> int:
+    """The number of columns with which columns differ most; four unless another is clearly better.
+
+    Args:
+        values: of the file, row by row.
+        numbers: of columns that its size allows.
+    """
+    unlike = {n: _unlike(values[: len(values) // n * n].reshape(-1, n)) for n in numbers}
+    best = max(unlike, key=lambda n: unlike[n])
+    return best if 4 not in unlike or unlike[best] > unlike[4] + _CLEARLY else 4
+
+
+def _unlike(rows: F32) -> float:
+    """How different columns are, in the mean of all pairs: 0 if equal, 1 without common values.
+
+    It is the largest difference of their shares below a value.
+    """
+    if len(rows) < _FEWEST or not np.isfinite(rows).all():
+        return 0.0
+    levels = np.quantile(rows, np.linspace(0.02, 0.98, 49))
+    shares = (rows[:, :, None] <= levels).mean(0)
+    pairs = [
+        float(np.abs(shares[a] - shares[b]).max())
+        for a in range(len(shares))
+        for b in range(a + 1, len(shares))
+    ]
+    return float(np.mean(pairs))
 
 
 def _spread(rows: F32) -> float:

@@ -114,7 +114,7 @@ def open_source(
         absolute=tuple(map(absolute, places)),
         format=type(base_of(opened)).__name__,
         options=dataclasses.replace(_anchored(options), refine_poses=False),
-        odometry=f"{odometry} {estimated.version}" if estimated else "",
+        odometry=f"{estimated.odometry} {estimated.version}" if estimated else "",
         poses_file=_relative(estimated.file, folder) if estimated else "",
     )
     found = OpenedSequence(

@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from helpers.street import drive
 from helpers.worlds import InMemory, room
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -214,6 +215,56 @@ def test_a_map_in_another_frame_raises_a_warning(
     assert result.counts["dynamic_kept"] <= 1
     assert len(result.sections.source.remarks) == 1
     assert sum(result.counts.values()) == len(labels)
+
+
+def street() -> InMemory:
+    """A street with truth."""
+    scans = [
+        Scan(k, s.world.astype(np.float32), s.T, labels=s.dynamic.astype(np.uint8))
+        for k, s in enumerate(drive(frames=8, columns=720))
+    ]
+    return InMemory(scans, "street")
+
+
+def share_kept(result: dv.Result) -> float:
+    """Share of the static points that are kept."""
+    kept = result.counts["static_kept"]
+    return kept / (kept + result.counts["static_removed"])
+
+
+def centroids(points: np.ndarray, edge: float) -> np.ndarray:
+    """One point for each voxel."""
+    _, of = np.unique(np.floor(points / edge).astype(int), axis=0, return_inverse=True)
+    sums = [np.bincount(of.ravel(), column) for column in points.T]
+    return np.column_stack(sums) / np.bincount(of.ravel())[:, None]
+
+
+@pytest.mark.parametrize("edge", [0.0, 0.2])
+@pytest.mark.parametrize("height", [1.73, -0.5])
+def test_a_map_that_is_too_high_or_too_low_is_named(
+    tmp_path: Path, edge: float, height: float
+) -> None:
+    sequence = street()
+    points, labels = cloud(sequence)
+    kept = points[labels == 0].astype(float)
+    path = save(tmp_path / "map.pcd", (centroids(kept, edge) if edge else kept) + [0, 0, height])
+    word = "higher" if height > 0 else "lower"
+    with pytest.warns(UserWarning, match=rf"is {abs(height):.1f}\d m {word} than the sequence"):
+        dv.score(path, sequence)
+
+
+def test_a_map_that_was_thinned_is_named_with_the_radius_that_it_needs(tmp_path: Path) -> None:
+    sequence = street()
+    points, labels = cloud(sequence)
+    path = save(tmp_path / "map.pcd", centroids(points[labels == 0].astype(float), 0.2))
+    with pytest.warns(UserWarning, match="as if it was thinned") as found:
+        low = dv.score(path, sequence)
+    radius = float(str(found[0].message).split("--radius ")[1].split(",")[0])
+    high = dv.score(path, sequence, radius=radius)  # without a warning
+    assert share_kept(low) < 0.9
+    assert share_kept(high) > 0.98
+    save(path, points[labels == 0])
+    assert share_kept(dv.score(path, sequence)) == 1
 
 
 def test_same_on_one_and_many_threads(little_room: InMemory, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers.bags import START, BagWriter, at
 from helpers.scan_folders import write_kitti_poses
+from helpers.street import drive
 
 import dynaviz as dv
 from dynaviz.contracts.attributes import attributes_of, far_origin, origin_of
@@ -119,6 +120,19 @@ def test_columns_of_bin_files_are_detected(tmp_path: Path, columns: int, names: 
     sequence = dv.open(tmp_path)
     np.testing.assert_array_equal(sequence[0].points, table[:, :3])
     assert list(attributes_of(sequence, 0)) == names.split()[3:]
+
+
+@pytest.mark.parametrize("columns", [3, 4, 5, 6])
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_columns_of_shuffled_points_are_detected(
+    tmp_path: Path, columns: int, missing: int
+) -> None:
+    points = drive()[3].points
+    n = len(points)
+    table = np.column_stack([points, RANDOM.random(n), np.arange(n) % 16, np.linspace(0, 0.1, n)])
+    rows = RANDOM.permutation(table)[: n - missing, :columns]
+    rows.astype("<f4").tofile(tmp_path / "000000.pcd.bin")
+    assert len(detect_columns(tmp_path / "000000.pcd.bin")) == columns
 
 
 def test_an_extrinsic_turns_poses_of_a_vehicle_into_those_of_its_lidar(tmp_path: Path) -> None:

@@ -16,13 +16,19 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64
 from dynaviz.contracts import registry
-from dynaviz.contracts.scan import Scan, Sequence, stream
+from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, stream
+from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.odometry.pose_table import without_points, write_pose_table
+from dynaviz.sources.odometry.verify import PoseCheck, check_poses, restart_frames
 from dynaviz.spatial import geometry
 from dynaviz.spatial.motion import deskewed_along, smoothed
 from dynaviz.spatial.trajectory import Trajectory
+
+
+class PosesDoNotHold(DataError):
+    """Estimated poses that do not place the scans on each other."""
 
 
 class Odometry(Protocol):
@@ -59,7 +65,12 @@ class Odometry(Protocol):
         ...
 
 
-FORMAT = 3  # of the cache; a change makes earlier caches invalid
+_DO_NOT_HOLD = (
+    "Give the poses of a SLAM system with --poses FILE. Scans that are far apart, such as "
+    "keyframes, need them"
+)
+FEWEST = 4  # sweeps whose poses are checked
+FORMAT = 4  # of the cache; a change makes earlier caches invalid
 _SAMPLES = 5  # frames whose ranges are looked at
 
 
@@ -131,8 +142,18 @@ def estimate(
         return earlier
     start = time.monotonic()
     way = _register(first, sequence, raw, None, progress)
+    path = None
     if way.deskewed and len(set(way.moments.tolist())) == len(sequence) > 1:
-        way = _register(kind(reach), sequence, raw, smoothed(way.moments, way.poses), progress)
+        path = smoothed(way.moments, way.poses)
+        way = _register(kind(reach), sequence, raw, path, progress)
+    if len(sequence) >= FEWEST:
+        found_to_hold = _checked(kind, reach, sequence, raw, path, way)
+        if not found_to_hold.holds:
+            raise PosesDoNotHold(
+                sequence.name,
+                f"the poses that {name} estimated do not hold: {found_to_hold}",
+                hint=_DO_NOT_HOLD,
+            )
     write_pose_table(file, way.frames, way.poses, way.moments if way.deskewed else None)
     steps = np.linalg.norm(np.diff(way.poses[:, :3, 3], axis=0), axis=1)
     found = EstimatedPoses(file, name, _version(kind), len(way.poses), round(float(steps.sum()), 3),
@@ -184,6 +205,33 @@ def _register(
         frames.append(without_points(scan))
         progress("poses" if path is None else "poses, second pass", done, len(sequence))
     return _Way(np.array(poses), np.array(moments, np.int64), frames, deskewed)
+
+
+def _checked(
+    kind: type[Odometry],
+    reach: float,
+    sequence: Sequence,
+    raw: bool,
+    path: Trajectory | None,
+    way: _Way,
+) -> PoseCheck:
+    """What speaks for the poses, with a second start in the middle of the drive."""
+
+    def points(position: int) -> F64:
+        scan = sequence[position]
+        found, times = _sensor_frame(scan, raw)
+        along = path or (smoothed(way.moments, way.poses) if way.deskewed else None)
+        if times is None or along is None:
+            return found
+        own = (scan.stamp_ns or 0) + np.round(times * 1e9).astype(np.int64)
+        return deskewed_along(found, own, along, int(way.moments[position]))
+
+    def restart() -> F64:
+        rows = range(*restart_frames(len(sequence)))
+        part = SequenceSlice(sequence, rows, sequence.sensor, sequence.name)
+        return _register(kind(reach), part, raw, path, silent).poses
+
+    return check_poses(way.poses, points, restart)
 
 
 def _sensor_frame(scan: Scan, raw: bool) -> tuple[F64, F64 | None]:

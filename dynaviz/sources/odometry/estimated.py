@@ -11,15 +11,16 @@ from pathlib import Path
 from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import Unposed
 from dynaviz.contracts.scan import Sequence, SequenceSlice, select_frames
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import DataError, MissingDependency, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.pose_matching import NO_POSES
-from dynaviz.sources.odometry.estimate import EstimatedPoses, estimate
+from dynaviz.sources.odometry.estimate import EstimatedPoses, PosesDoNotHold, estimate
 from dynaviz.sources.odometry.reposed import ReposedSequence
 from dynaviz.sources.options import SequenceOptions
 
 DEFAULT = "small-gicp"
+SECOND = "kiss-icp"  # tried if the poses of the first do not hold
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,26 @@ def estimate_poses(
     own = _with_fixed_poses(source, options)
     raw = select_frames(_raw(source, options) if own is None else own, options.frames)
     compensate = own is None and options.deskew is not False
-    return estimate(
-        odometry,
-        raw,
-        Path("recordings") / raw.name if folder is None else folder,
-        compensate,
-        progress,
-    )
+    place = Path("recordings") / raw.name if folder is None else folder
+    try:
+        return estimate(odometry, raw, place, compensate, progress)
+    except PosesDoNotHold as error:
+        if odometry == SECOND:
+            raise
+        return _second_try(error, raw, place, compensate, progress)
+
+
+def _second_try(
+    error: PosesDoNotHold, raw: Sequence, place: Path, compensate: bool, progress: Progress
+) -> EstimatedPoses:
+    """Estimate poses with the other odometry; the error says what became of both."""
+    try:
+        return estimate(SECOND, raw, place, compensate, progress)
+    except MissingDependency:
+        raise error from None
+    except PosesDoNotHold as other:
+        problem = f"{error.problem}; neither do those of {SECOND}: {other.problem}"
+        raise PosesDoNotHold(error.path, problem, hint=error.hint) from None
 
 
 def with_estimated(source: str | Sequence, file: Path, options: SequenceOptions) -> Sequence:
