@@ -63,6 +63,7 @@ class FrameBoxes:
         low, high: (C, 3) float32, metres, world frame: bounds of the case over all frames.
         frames: (B,) int64, case: (B,) int64: a box's frame, and its case.
         box_low, box_high: (B, 3) float32, metres, world frame.
+        points: (B,) int64, points of the case in the frame; None if unknown.
     """
 
     labels: tuple[str, ...]
@@ -73,6 +74,7 @@ class FrameBoxes:
     case: I64
     box_low: F32
     box_high: F32
+    points: I64 | None = None
 
 
 Figure = FrameHistograms | FrameBoxes

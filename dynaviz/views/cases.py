@@ -65,6 +65,11 @@ class ShownCase:
     failure: FailureCase | None = None
 
     @property
+    def cost_of_point(self) -> float:
+        """What one of its points costs; without ground truth 1."""
+        return self.failure.cost / max(self.failure.points, 1) if self.failure else 1.0
+
+    @property
     def label(self) -> str:
         """Number and title."""
         return f"{self.number} {self.title}"

@@ -33,6 +33,7 @@ TRAJECTORY = "world/trajectory"  # static: path of the sensor
 SENSOR = "world/sensor"  # the sensor's pose
 RINGS = "world/sensor/rings"  # circles around the sensor, at 10 m and 20 m
 FAILURES = "world/failures"  # a box around the wrong points of each failure case in this frame
+CASE_NUMBERS = "dynaviz.Case"  # archetype: numbers of the cases of these boxes
 CASES = "world/failures/cases"  # static: a box around each case over all of its frames
 CLUSTERS = (
     "world/clusters"  # the same two for the suspicious clusters of a run without ground truth

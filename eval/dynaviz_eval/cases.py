@@ -424,4 +424,5 @@ def boxes(
         number,
         rows["low"],
         rows["high"],
+        rows["points"].astype(np.int64),
     )

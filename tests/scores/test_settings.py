@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from dynaviz.contracts.plugin_code import Plugin
 from dynaviz.scores.comparison.settings import names, runtime_ratio, setting_changes
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import Environment, Machine, Runtime, Sections, SequenceInfo, Source
@@ -76,3 +77,19 @@ def test_names_contain_what_differs() -> None:
         "octomap x",
         "octomap other",
     ]
+    paths = [Path("old/octomap/run.rrd"), Path("new/octomap/run.rrd")]
+    assert names([BASE, BASE], paths) == ["octomap old", "octomap new"]
+
+
+def test_a_difference_in_code_is_a_setting() -> None:
+    old, new = (
+        replace(BASE, plugin=Plugin("mine:Method", "mine", version, digest * 8))
+        for version, digest in (("1.0", "0123abcd"), ("1.1", "4567abcd"))
+    )
+    found = {row.name: (row.first, row.second) for row in setting_changes(old, new)}
+    assert found == {"code": ("0123abcd", "4567abcd"), "version": ("1.0", "1.1")}
+    assert names([old, new], [Path("a.rrd"), Path("b.rrd")]) == [
+        "octomap code=0123abcd version=1.0",
+        "octomap code=4567abcd version=1.1",
+    ]
+    assert not setting_changes(old, old)

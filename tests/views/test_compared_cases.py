@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from helpers.compared_recordings import pair
+from helpers.worlds import room
 
+import dynaviz as dv
 from dynaviz.contracts.scan import Label
 from dynaviz.views import paths
-from dynaviz.views.compare import compare_layout
+from dynaviz.views.compare import compare_layout, compared_cases
 from dynaviz.views.read.reader import RunRecording, read
 
 
@@ -64,3 +66,33 @@ def test_each_case_shows_where_only_one_run_is_wrong(
 
 def test_a_comparison_without_coordinates_has_no_cases(merged: dict[str, Path]) -> None:
     assert not [path for path in read(merged["scores"]).entities() if "case" in path]
+
+
+def test_an_object_keeps_its_name_number_and_behaviour(tmp_path: Path) -> None:
+    """Two kept boxes that cross: each difference has the name of the case that it is of."""
+    for name, miss in (("a", 0.45), ("b", 0.49)):
+        dv.run("octomap", room(8, 3000), out=tmp_path / name, settings={"prob_miss": miss})
+    recordings = tuple(RunRecording(tmp_path / name / "run.rrd") for name in "ab")
+    found = compared_cases.find((recordings[0], recordings[1]))
+    objects = [each for each in found if each.case.kind == "false_negative"]
+    assert objects
+    for each in objects:
+        own = recordings[each.wrong].result
+        assert own is not None
+        (same,) = (case for case in own.failures if case.instance == each.case.instance)
+        assert each.case.instance == 1
+        assert each.case.behaviour == same.behaviour
+        assert each.title.endswith(" 1")
+
+
+def test_the_difference_is_drawn_at_its_case(merged: dict[str, Path]) -> None:
+    recorded = read(merged["two"])
+    boxes = dict(recorded.rows(compare_layout.CASE_BOX, paths.CASE))
+    drawn = dict(recorded.rows(compare_layout.SCAN, paths.CASE))
+    frames = dict(recorded.rows(compare_layout.SCAN))
+    assert list(drawn) == list(boxes)
+    for row in drawn.values():
+        assert any(
+            np.array_equal(row["Points3D:positions"], other["Points3D:positions"], equal_nan=True)
+            for other in frames.values()
+        )

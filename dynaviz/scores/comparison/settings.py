@@ -11,6 +11,7 @@ from typing import Any
 from dynaviz.scores.result import Result
 
 NAMED = 2  # settings in the name of a run, at most
+CODE = 8  # digits of the digest of a method's code that are shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +55,25 @@ def names(results: Sequence[Result], paths: Sequence[Path]) -> list[str]:
         ]
         words = [f"{name}={text(own[name])}" for name in differing[:NAMED]]
         if not differing and len(same) > 1:
-            words = [path.parent.name if path.stem == "run" else path.stem]
+            words = [_folder(path, [p for r, p in zip(results, paths, strict=True) if r in same])]
         found.append(" ".join([result.method, *filter(None, words)]))
     return found
+
+
+def _folder(path: Path, paths: Sequence[Path]) -> str:
+    """The last part of a path in which it differs from the other paths."""
+    parts = [_parts(each) for each in paths]
+    own = _parts(path)
+    for k, part in enumerate(own):
+        if sum(k < len(each) and each[k] == part for each in parts) < len(parts):
+            return part
+    return own[0] if own else ""
+
+
+def _parts(path: Path) -> list[str]:
+    """The parts of a path, last first; the usual name of a recording is left out."""
+    parts = list(reversed(path.with_suffix("").parts))
+    return parts[1:] if parts[:1] == ["run"] else parts
 
 
 def text(value: Any) -> str:
@@ -76,7 +93,11 @@ def setting_changes(first: Result, second: Result) -> tuple[SettingChange, ...]:
 
 def _settings_of(result: Result) -> dict[str, Any]:
     chosen = {"method": result.method, "scoring": result.scoring, "preset": result.preset}
-    return {**chosen, "online": result.online, "seed": result.seed, **result.parameters}
+    settings = {**chosen, "online": result.online, "seed": result.seed, **result.parameters}
+    if result.plugin is not None and result.plugin.sha256:
+        settings["code"] = result.plugin.sha256[:CODE]
+        settings["version"] = result.plugin.version
+    return settings
 
 
 def runtime_ratio(first: Result, second: Result) -> RuntimeRatio:

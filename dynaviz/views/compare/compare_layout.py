@@ -56,8 +56,8 @@ ABREAST = 4  # runs whose map and frame are both visible; with more, they share 
 def two(names: Sequence[str], places: F64 | None, first: F32 | None = None) -> rrb.Blueprint:
     """The layout for two runs.
 
-    Top left: which run is better where, and agreement in the frame. Bottom left: the frame of each
-    run. Right: the report, curves and histograms.
+    Top left: the difference at the index, which run is right; below it how each run drew it. Behind
+    it, which run is better where, and frames. Right: the report, curves and histograms.
 
     Args:
         names: of the runs.
@@ -87,7 +87,13 @@ def two(names: Sequence[str], places: F64 | None, first: F32 | None = None) -> r
         world: Any = rrb.Grid(where, who, *frames, grid_columns=2)
         return blueprint(rrb.Horizontal(world, _column(numbers), column_shares=[5, 3]))
     views = [_case(side, name, first) for side, name in zip(SIDES, names, strict=False)]
-    world = rrb.Grid(*views, rrb.Tabs(where, who), rrb.Tabs(*frames), grid_columns=2)
+    box = [CASE_BOX, paths.names(CASE_BOX), CASE_AROUND]
+    shown = [SCAN, GROUND, *box, f"a/{paths.TRAJECTORY}"]
+    title = "difference: green only A right, purple only B right, white neither"
+    difference = solid(title, shown, follow(CASE_AROUND, first), COMPARE)
+    world = rrb.Vertical(
+        rrb.Tabs(difference, where, who, *frames), rrb.Horizontal(*views), row_shares=[5, 4]
+    )
     text = rrb.TextDocumentView(name="what and why", origin=CASE_TEXT, contents=[CASE_TEXT])
     column = rrb.Vertical(rrb.Tabs(text, object_lanes.view()), _column(numbers), row_shares=[1, 3])
     return blueprint(rrb.Horizontal(world, column, column_shares=[5, 3]), paths.CASE)

@@ -5,9 +5,11 @@ Places where one run is right and the other wrong, costliest first.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import rerun as rr
 
@@ -36,6 +38,8 @@ from dynaviz.views.record.scene import EDGES, NAME_STYLE, WIRES
 
 LETTERS = "AB"
 COPIED = (paths.SCAN, paths.SENSOR)
+SHARED = 0.5  # of its area, by which a difference without an object is of a run's own case
+AROUND = 0.01  # metres around the box of a case, whose corners are rounded
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,21 +86,104 @@ def _of_run(run: RunRecording, other: RunRecording, wrong: int) -> Iterator[Diff
     positions = {
         frame: parts["Transform3D:translation"][0] for frame, parts in run.rows(paths.SENSOR)
     }
+    known = run.result.failures if run.result else ()
+    objects = _Objects(run, known)
     for points, mine, others in zip(run.drawn(), run.answers(), other.answers(), strict=True):
         static, dynamic = (
             int((mine.truth == label).sum()) for label in (Label.STATIC, Label.DYNAMIC)
         )
-        metric.add(_wrong_alone(points, mine, others, positions[points.frame]), static, dynamic)
+        alone = _wrong_alone(points, mine, others, positions[points.frame])
+        metric.add(objects.numbered(alone), static, dynamic)
     section = Sections.of(metric.finish()).failures
     boxes = metric.figures().get(cases.FAILURES)
-    for i, case in enumerate(section.cases[: cases.LISTED] if section else ()):
+    found = section.cases[: cases.LISTED] if section else ()
+    for i, case in enumerate(found):
         assert isinstance(boxes, FrameBoxes)
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
         low, high = (
             (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
         )
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
-        yield Difference(wrong, case, Outcome(boxes.outcomes[i]), *corners)
+        named = _named(case, objects.owner(case, *corners))
+        yield Difference(wrong, named, Outcome(boxes.outcomes[i]), *corners)
+
+
+class _Objects:
+    """Which points are of the objects of the run's own cases, by their boxes in each frame.
+
+    Earlier recordings do not say which case a box is of; their objects have no names.
+
+    Args:
+        run: the recording.
+        known: its cases.
+    """
+
+    def __init__(self, run: RunRecording, known: Sequence[FailureCase]) -> None:
+        self._known = known
+        name = f"{paths.CASE_NUMBERS}:number"
+        self._boxes = {
+            frame: (row[name], row["Boxes3D:centers"], row["Boxes3D:half_sizes"])
+            for frame, row in run.rows(paths.FAILURES)
+            if name in row
+        }
+
+    def numbered(self, labelled: Labelled) -> Labelled:
+        """The points, those of an object with the number of its costliest case."""
+        scan = labelled.scan
+        instances = np.zeros(len(scan), np.int32)
+        boxes = self._boxes.get(labelled.frame, ((), (), ()))
+        for number, middle, half in reversed(list(zip(*boxes, strict=True))):
+            if self._known[number - 1].instance is not None:
+                inside = (np.abs(scan.points - middle) <= half + AROUND).all(1)
+                instances[inside & (scan.labels == Label.DYNAMIC)] = _first(self._known, number)
+        numbered = dataclasses.replace(scan, instances=instances)
+        return dataclasses.replace(labelled, scan=numbered)
+
+    def owner(self, case: FailureCase, low: F64, high: F64) -> FailureCase | None:
+        """The own case that a difference is of; None if none is known.
+
+        Args:
+            case: the difference; the number of its object is that of a case.
+            low, high: (3,) metres: its box in its worst frame.
+        """
+        if case.instance is not None:
+            return self._known[case.instance - 1]
+        best = None
+        most = SHARED * float(np.prod(high[:2] - low[:2] + AROUND))
+        for number, middle, half in zip(*self._boxes.get(case.worst_frame, ((),) * 3), strict=True):
+            own = self._known[number - 1]
+            shared = np.minimum(high, middle + half) - np.maximum(low, middle - half) + AROUND
+            area = float(np.prod(shared[:2])) if (shared > 0).all() else 0.0
+            if own.kind == case.kind and area > most:
+                best = own
+                most = area
+        return best
+
+
+def _first(known: Sequence[FailureCase], number: int) -> int:
+    """The number of the costliest case of the same object."""
+    case = known[number - 1]
+    own = (case.kind, case.class_, case.instance)
+    numbers = enumerate(known, 1)
+    return next(k for k, each in numbers if (each.kind, each.class_, each.instance) == own)
+
+
+def _named(case: FailureCase, own: FailureCase | None) -> FailureCase:
+    """A difference with the name, number, behaviour and cause of the run's own case."""
+    if own is None:
+        return case
+    written = case.what if case.instance is None else f"{case.what} {case.instance}"
+    named = own.instance is None or str(own.instance) in own.what
+    what = own.what if named else f"{own.what} {own.instance}"
+    return msgspec.structs.replace(
+        case,
+        class_=own.class_,
+        instance=own.instance,
+        what=what,
+        behaviour=own.behaviour,
+        cause=own.cause,
+        sentence=case.sentence.replace(written, what, 1),
+    )
 
 
 def _wrong_alone(

@@ -135,7 +135,7 @@ def write(
         if pair:
             _write_gains_by_frame(stream, sides, counts[0], comparison.pairs[0].frames)
         if pair and drawn:
-            _write_agreement(stream, sides[0], sides[1], legend)
+            _write_agreement(stream, sides[0], sides[1], legend, found)
         if found:
             compared_cases.write(stream, SIDES[:2], (recordings[0], recordings[1]), found)
 
@@ -301,18 +301,29 @@ def _bars(recording: RunRecording, path: str) -> tuple[F64, F64, F64] | None:
 
 
 def _write_agreement(
-    stream: rr.RecordingStream, first: Side, second: Side, legend: AgreementLegend
+    stream: rr.RecordingStream,
+    first: Side,
+    second: Side,
+    legend: AgreementLegend,
+    found: Sequence[compared_cases.Difference],
 ) -> None:
-    """The drawn points of each frame by agreement, and the legend of all their class ids."""
+    """The drawn points of each frame by agreement, and the legend of all their class ids.
+
+    At the index of a difference, the points of its worst frame.
+    """
     for drawn in agreed_points(first.recording, second.recording, legend):
         stream.reset_time()
         stream.set_time(paths.FRAME, sequence=drawn.frame)
         sizes = -SIZES[drawn.right] * np.where(
             drawn.dynamic, np.float32(DYNAMIC_SCALE), np.float32(1)
         )
-        stream.log(
-            SCAN, rr.Points3D(drawn.xyz, class_ids=drawn.ids, radii=sizes, show_labels=False)
-        )
+        points = rr.Points3D(drawn.xyz, class_ids=drawn.ids, radii=sizes, show_labels=False)
+        stream.log(SCAN, points)
+        for number, difference in enumerate(found, 1):
+            if difference.case.worst_frame == drawn.frame:
+                stream.reset_time()
+                stream.set_time(paths.CASE, sequence=number)
+                stream.log(SCAN, points)
     stream.log(COMPARE, rr.AnnotationContext(legend.entries()), static=True)
 
 

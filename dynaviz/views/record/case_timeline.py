@@ -211,8 +211,13 @@ class CaseTimeline:
 
     def _by_frame(self, sensor: F64, boxes: FrameBoxes) -> None:
         """Show in each frame the costliest of its cases."""
-        rows = np.lexsort((boxes.case, boxes.frames))
-        rows = rows[boxes.case[rows] < len(self._cases)]
+        each = [case.cost_of_point for case in self._cases]
+        shown = np.flatnonzero(boxes.case < len(self._cases))
+        of = boxes.case[shown]
+        cost = np.zeros(len(shown)) if boxes.points is None else np.array(each)[of]
+        if boxes.points is not None:
+            cost *= boxes.points[shown]
+        rows = shown[np.lexsort((of, -cost, boxes.frames[shown]))]
         frames, first = np.unique(boxes.frames[rows], return_index=True)
         rows = rows[first]
         cases = [self._cases[case] for case in boxes.case[rows]]

@@ -169,7 +169,10 @@ class MapDrawing:
         )  # fmt: skip
         frames = cases.frames[order]
         lengths = np.bincount(frames, minlength=len(self._trajectory))
-        self._sink.columns(path, range(len(lengths)), [None], columns.partition(lengths))
+        number = {"number": case + 1}
+        of_cases = rr.DynamicArchetype.columns(paths.CASE_NUMBERS, components=number)
+        for part in (columns, of_cases):
+            self._sink.columns(path, range(len(lengths)), [None], part.partition(lengths))
         above = np.concatenate([middle[:, :2], high[:, 2:] + ABOVE], 1)[labelled]
         names = rr.Points3D.columns(positions=above, labels=labels[case[labelled]].tolist())
         lengths = np.bincount(frames[labelled], minlength=len(lengths))
