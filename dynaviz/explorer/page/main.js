@@ -49,7 +49,7 @@ function headings() {
   document.title = `${Object.values(runs).map(run => run.title).join(', ')} on ${a.sequence}`
   by('run').textContent = `${each(run => run.title).join(', ')}: ${a.sequence}`
   const scores = run => Object.entries(run.scores).filter(([, value]) => value !== null).map(([name, value]) => `${name} ${value.toFixed(2)}`).join('  ')
-  by('scores').textContent = a.compares ? 'What changed between two drives.' : !a.truth ? 'No ground truth: judge the removed points yourself.' : each(scores).join('\n') + (b ? '' : ` %${a.possible ? `\nThe drive shows DA ${a.possible} %` : ''}`)
+  by('scores').textContent = a.compares ? 'What changed between two drives.' : !a.truth ? 'No ground truth: judge the removed points yourself.' : each(scores).join('\n') + (b ? '' : ` %${a.possible ? `\nThe drive allows DA ${a.possible} %` : ''}`)
   by('legend').replaceChildren(...(a.truth ? LEGEND : a.compares ? LEGEND_CHANGES : LEGEND_UNLABELLED).map(([kind, words]) => make('span', { class: `key ${kind}` }, words)))
   by('corrected').textContent = Object.entries(runs).filter(([, run]) => run.rescored).map(([letter, run]) => `${b ? `${letter.toUpperCase()}: ` : ''}${run.rescored}`).join('\n')
 }
