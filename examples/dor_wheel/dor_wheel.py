@@ -56,7 +56,7 @@ class DorWheel:
     info: ClassVar[MethodInfo] = MethodInfo(
         name="dor_wheel",
         title="DOR fusion (public program)",
-        paper="dynamic-object-removal 0.6, PyPI",
+        paper="package dynamic-object-removal 0.6",
         reasons=(  # by code
             Reason(
                 "fused", "removed: free space, a void or the ratio of heights speaks against it"
