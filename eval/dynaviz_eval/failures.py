@@ -27,7 +27,7 @@ from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts
 from dynaviz_eval.causes import cause_of, looks_of
 from dynaviz_eval.ceiling import Evident, asked_places
 from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
-from dynaviz_eval.samples import smallest
+from dynaviz_eval.samples import POINT, smallest
 
 # Metres: maximum size of a false-positive case; larger holes are split, and patches of ground
 # within are one. Trails of movers may be longer.
@@ -145,18 +145,10 @@ class FailuresMetric:
     def places(self) -> AskedPlaces:
         """Points of the listed cases, of the largest objects, and of the whole run."""
         self._settle()
-        parts = [
-            asked_places(found.sample, np.full(len(found.sample), number))
-            for number, found in enumerate(self._found)
-        ]
-        cases = AskedPlaces.of([])
-        if parts:
-            cases = AskedPlaces(
-                *(
-                    np.concatenate([getattr(part, name) for part in parts])
-                    for name in ("points", "frames", "groups")
-                )
-            )
+        samples = [found.sample for found in self._found]
+        sizes = np.array([len(sample) for sample in samples], np.int64)
+        numbers = np.repeat(np.arange(len(samples)), sizes)
+        cases = asked_places(np.concatenate([np.empty(0, POINT), *samples]), numbers)
         others = [asked_places(self._objects.sample()), self._evident.places()]
         self._sizes = [len(cases), *map(len, others)]
         return AskedPlaces.of([cases, *others])
