@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import msgspec
 import numpy as np
 import pytest
+from helpers.scan_folders import write_attributed_scans
 from helpers.worlds import room
 
 import dynaviz as dv
@@ -31,23 +32,8 @@ FAR = np.array([512_000.0, 5_403_000.0, 0.0])
 SCANS = room(frames=FRAMES, rays=1500).scans
 
 
-def write_scans(folder: Path, *, poses: bool = True, offset: np.ndarray | float = 0.0) -> Path:
-    """Scans in the sensor frame with ring and intensity."""
-    folder.mkdir(parents=True)
-    for scan in SCANS:
-        local = geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points)
-        numbers = np.arange(len(local))
-        fields = {axis: local[:, k] for k, axis in enumerate("xyz")}
-        fields |= {
-            "ring": (numbers % 16).astype(np.uint16),
-            "intensity": (numbers / 7).astype(np.float32),
-        }
-        write_pcd(folder / f"{scan.index:06d}.pcd", fields)
-    if poses:
-        T = np.array([scan.T_world_sensor for scan in SCANS])
-        T[:, :3, 3] = np.round(T[:, :3, 3] * 1024) / 1024 + offset  # exact sums
-        np.savetxt(folder / "poses.txt", T[:, :3].reshape(len(T), 12), fmt="%.17g")
-    return folder
+def write_scans(folder: Path, offset: np.ndarray | float | None = 0.0) -> Path:
+    return write_attributed_scans(folder, SCANS, offset)
 
 
 class TrueOdometry:
@@ -196,7 +182,7 @@ def test_far_from_zero_labels_are_the_same_and_the_map_is_far(tmp_path: Path) ->
 
 def test_poses_are_estimated_once(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
     given = clean(write_scans(tmp_path / "given"), tmp_path / "given.pcd")
-    scans = write_scans(tmp_path / "none", poses=False)
+    scans = write_scans(tmp_path / "none", offset=None)
     for reused in (False, True):
         cleaned = clean(scans, tmp_path / "none.pcd")
         assert cleaned.poses.reused is reused
@@ -222,7 +208,7 @@ def test_given_poses_can_be_replaced_by_estimated_ones(
 def test_poses_that_are_all_the_identity_count_as_none(
     tmp_path: Path, odometry: type[TrueOdometry]
 ) -> None:
-    scans = write_scans(tmp_path / "scans", poses=False)
+    scans = write_scans(tmp_path / "scans", offset=None)
     for scan in scans.iterdir():
         write_pcd(scan, read_fields(scan), np.eye(4))
     cleaned = clean(scans, tmp_path / "map.pcd")

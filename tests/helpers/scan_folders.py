@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dynaviz.contracts.scan import Scan
+from dynaviz.io.pcd import write_pcd
+from dynaviz.spatial import geometry
 from helpers.bags import START, at
 
 N = 5
@@ -52,6 +55,33 @@ def write_scans(
     folder.mkdir(parents=True, exist_ok=True)
     for k, xyz in enumerate(clouds):
         WRITERS[suffix](folder / f"{names[k] if names else f'{k:06d}'}{suffix}", xyz)
+    return folder
+
+
+def write_attributed_scans(
+    folder: Path, scans: Sequence[Scan], offset: np.ndarray | float | None = 0.0
+) -> Path:
+    """Write scans in the sensor frame with ring and intensity, and their poses; returns the folder.
+
+    Args:
+        folder: a new one.
+        scans: to write, in the world frame.
+        offset: metres, added to the positions, so that sums are exact; None writes no poses.
+    """
+    folder.mkdir(parents=True)
+    for scan in scans:
+        local = geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points)
+        numbers = np.arange(len(local))
+        fields = {axis: local[:, k] for k, axis in enumerate("xyz")}
+        fields |= {
+            "ring": (numbers % 16).astype(np.uint16),
+            "intensity": (numbers / 7).astype(np.float32),
+        }
+        write_pcd(folder / f"{scan.index:06d}.pcd", fields)
+    if offset is not None:
+        T = np.array([scan.T_world_sensor for scan in scans])
+        T[:, :3, 3] = np.round(T[:, :3, 3] * 1024) / 1024 + offset
+        np.savetxt(folder / "poses.txt", T[:, :3].reshape(len(T), 12), fmt="%.17g")
     return folder
 
 

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.scan_folders import write_attributed_scans
 from helpers.worlds import room
 
 import dynaviz as dv
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.fields import coordinates, read_fields
-from dynaviz.io.pcd import write_pcd
 from dynaviz.reviews.regions import ROUNDED, BoxRegion
-from dynaviz.spatial import geometry
 
 Command = Callable[..., tuple[int, str, str]]
 FRAMES = 4
@@ -28,21 +27,7 @@ SCANS = room(frames=FRAMES, rays=1500).scans
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Scans with ring and intensity, far from the origin of their world."""
-    folder = tmp_path_factory.mktemp("drive") / "scans"
-    folder.mkdir()
-    for scan in SCANS:
-        local = geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points)
-        numbers = np.arange(len(local))
-        fields = {axis: local[:, k] for k, axis in enumerate("xyz")}
-        fields |= {
-            "ring": (numbers % 16).astype(np.uint16),
-            "intensity": (numbers / 7).astype(np.float32),
-        }
-        write_pcd(folder / f"{scan.index:06d}.pcd", fields)
-    T = np.array([scan.T_world_sensor for scan in SCANS])
-    T[:, :3, 3] = np.round(T[:, :3, 3] * 1024) / 1024 + FAR
-    np.savetxt(folder / "poses.txt", T[:, :3].reshape(len(T), 12), fmt="%.17g")
-    return folder
+    return write_attributed_scans(tmp_path_factory.mktemp("drive") / "scans", SCANS, FAR)
 
 
 def clean(source: Any, out: Path, **options: Any) -> Any:
