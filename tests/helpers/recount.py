@@ -1,7 +1,7 @@
 """Recounts the causes of failure cases from the scans and the labels of a run.
 
-Uses a search tree over the returns of each scan, other points than the run did, and none of the
-product's code for looks, surfaces or causes. ``eval/README.md`` states the criteria.
+Looks at other points than the run did, by ``reference.looks``, and uses none of the product's code
+for looks, surfaces or causes. ``eval/README.md`` states the criteria.
 """
 
 from __future__ import annotations
@@ -15,15 +15,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import dynaviz as dv
+from dynaviz.contracts.scan import Scan
+from helpers.reference.looks import GRAZING, HIT, NAMES, THROUGH, Returns
 
-MARGIN = 0.3  # metres
-AROUND = np.radians(3.0)
-GRAZING = np.sin(np.radians(20.0))
-NEAREST = 4
 SAMPLE = 128
 SAMPLES = 200  # of the points of a case, drawn with replacement
-HIT, THROUGH, HIDDEN, BETWEEN, OUTSIDE = range(5)
-NAMES = ("hit", "through", "hidden", "between", "outside")
 
 
 @dataclass(frozen=True)
@@ -49,46 +45,15 @@ class Recounted:
         return self.shares.get(self.stated, 0.0) >= 0.025
 
 
-class Returns:
-    """The returns of one scan, by direction from the origin of their rays."""
+class Surroundings(Returns):
+    """The returns of one scan, also by place, and its dynamic points."""
 
-    def __init__(self, scan: Any) -> None:
+    def __init__(self, scan: Scan) -> None:
+        super().__init__(scan)
         self.points = np.asarray(scan.points, float)
-        self.sensor = np.asarray(scan.position, float)
-        away = self.points[np.isfinite(self.points).all(1)] - self.sensor
-        ranges = np.linalg.norm(away, axis=1)
-        near = ranges > 0.05
-        self.ranges = ranges[near]
-        self.ways = away[near] / self.ranges[:, None]
-        self.tree = cKDTree(self.ways)
         self.space = cKDTree(np.nan_to_num(self.points, nan=1e9, posinf=1e9, neginf=1e9))
         labels = np.asarray(scan.labels)
         self.movers = cKDTree(self.points[labels == 1]) if (labels == 1).any() else None
-
-    def spacing(self) -> float:
-        """1.5 times the median angle from a return to the third nearest other."""
-        chosen = np.random.default_rng(0).choice(len(self.ways), min(2000, len(self.ways)), False)
-        gaps, _ = self.tree.query(self.ways[chosen], k=NEAREST)
-        return 1.5 * float(np.median(gaps[:, -1]))
-
-    def look(self, places: np.ndarray, cap: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Codes, the ranges behind each place, and unit directions to the places."""
-        away = places - self.sensor
-        distance = np.linalg.norm(away, axis=1)
-        ways = away / distance[:, None]
-        gaps, rows = self.tree.query(ways, k=NEAREST)
-        near = gaps < cap
-        ends = np.where(near, self.ranges[np.minimum(rows, len(self.ranges) - 1)], np.nan)
-        with np.errstate(invalid="ignore"):
-            hit = (np.abs(ends - distance[:, None]) < MARGIN).any(1)
-            beyond = ends - distance[:, None]
-            passed = (beyond >= MARGIN).any(1)
-        found = np.where(gaps[:, 0] <= AROUND, BETWEEN, OUTSIDE)
-        found[near.any(1)] = HIDDEN
-        found[passed] = THROUGH
-        found[hit] = HIT
-        behind = np.where(beyond >= MARGIN, beyond, np.inf).min(1, initial=np.inf)
-        return found, behind, ways
 
     def normals(self, places: np.ndarray) -> np.ndarray:
         """(K, 3) unit normals of the surfaces through own points; NaN where they are on none."""
@@ -133,7 +98,7 @@ def wrong_points(
 
 
 def looked_at(
-    points: np.ndarray, frames: np.ndarray, every: list[Returns], cap: float
+    points: np.ndarray, frames: np.ndarray, every: list[Surroundings], cap: float
 ) -> dict[str, np.ndarray]:
     """What the other scans saw at each point: (K,) of each name."""
     normals = np.full(points.shape, np.nan)
@@ -242,7 +207,7 @@ class Drive:
     def __init__(self, sequence: str) -> None:
         opened = dv.open(sequence)
         self.scans = [opened[k] for k in range(len(opened))]
-        self.every = [Returns(scan) for scan in self.scans]
+        self.every = [Surroundings(scan) for scan in self.scans]
         self.cap = self.every[0].spacing()
 
 
