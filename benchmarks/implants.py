@@ -44,6 +44,7 @@ from dynaviz import api
 from dynaviz.contracts import params, registry
 from dynaviz.contracts.scan import Label, Scan, Sequence
 from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.sources.drive import Drive
 from dynaviz.synthetic.implants.implant_options import ImplantOptions
 from dynaviz.synthetic.implants.implant_scene import CLASSES
 from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence, planned
@@ -150,7 +151,7 @@ class Implanter:
     def __init__(self, base: Cached) -> None:
         self.base = base
         self.blind = base.blind()
-        self.agreed = votes(self.blind, default_panel())
+        self.agreed = votes(Drive.of(self.blind), default_panel())
         self.lidar = LidarModel.measure(base)
         self.survey = Survey.of(self.blind, moving=self.agreed.dynamic)
 

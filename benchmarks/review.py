@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.scan import Label, outcomes, stream
 from dynaviz.reviews import calibration
 from dynaviz.reviews.applying import NONE, Applied
@@ -62,7 +61,7 @@ class Reviewed:
         self.name = f"{run.result.method} on {run.result.sequence.name}"
         self.labels = run.labels
         self.scans = list(stream(self.sequence))
-        self.origin = origin_of(self.sequence)
+        self.origin = self.sequence.origin
         start = time.perf_counter()
         found = candidates(self.scans, self.labels, self.origin)
         self.seconds = time.perf_counter() - start

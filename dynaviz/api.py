@@ -19,11 +19,12 @@ from dynaviz.runs.reviewed import truths
 from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.result import Result
-from dynaviz.sources.opening import OpenedSequence, Source, open_source
+from dynaviz.sources.drive import Drive
+from dynaviz.sources.opening import Source, open_source
 from dynaviz.sources.options import SequenceKeywords, SequenceOptions
 
 
-def open(path: Source, **options: Unpack[SequenceKeywords]) -> OpenedSequence:
+def open(path: Source, **options: Unpack[SequenceKeywords]) -> Drive:
     """Open a sequence of any known format.
 
     Args:

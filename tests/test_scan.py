@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.contracts.scan import Label, Outcome, Scan, Sequence, outcomes, select_frames, stream
+from dynaviz.contracts.scan import Label, Outcome, Scan, Sequence, outcomes, stream
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
+from dynaviz.sources.drive import Drive
 
 
 class Counting:
@@ -125,24 +126,25 @@ def test_selected_frames_are_a_slice(first: int | None, last: int | None, stride
     frames = f"{'' if first is None else first}:{'' if last is None else last}"
     if not expected:
         with pytest.raises(UsageError, match="selects none of the"):
-            select_frames(sequence, frames, stride)
+            Drive.of(sequence).select(frames, stride)
         return
-    chosen = select_frames(sequence, frames, stride)
+    chosen = Drive.of(sequence).select(frames, stride)
     assert isinstance(chosen, Sequence)
     assert [chosen[k].index for k in range(len(chosen))] == expected
     with pytest.raises(IndexError):
         chosen[len(chosen)]
 
 
-def test_selecting_everything_returns_the_sequence_itself() -> None:
-    sequence = Counting(3)
-    assert select_frames(sequence) is sequence
+def test_selecting_everything_leaves_all_frames() -> None:
+    drive = Drive.of(Counting(3))
+    assert len(drive.select()) == 3
+    assert drive.select().provenance == drive.provenance
 
 
 def test_another_sensor() -> None:
     sequence, other = Counting(3), Sensor(name="other")
-    assert select_frames(sequence, sensor=other).sensor is other
-    assert len(select_frames(sequence, sensor=other)) == 3
+    assert Drive.of(sequence).with_sensor(other).sensor is other
+    assert len(Drive.of(sequence).with_sensor(other)) == 3
 
 
 @pytest.mark.parametrize(
@@ -150,7 +152,7 @@ def test_another_sensor() -> None:
 )
 def test_an_invalid_range_is_an_error(frames: str | None, stride: int) -> None:
     with pytest.raises(UsageError, match="^frames=" if stride == 1 else "^stride="):
-        select_frames(Counting(10), frames, stride)
+        Drive.of(Counting(10)).select(frames, stride)
 
 
 @given(st.integers(0, 20), st.integers(1, 4))

@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
 from dynaviz.arrays import F64
-from dynaviz.contracts.scan import Scan, Sequence, select_frames
+from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor, load_sensor, sensor_names
 from dynaviz.engine.needs import suited
 from dynaviz.errors import DataError, UsageError
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.sensing import estimate_sensor, sentence
 from dynaviz.testing.world import InMemory
 from dynaviz_methods.octomap.method import OctoMap, OctoMapParams
@@ -23,13 +24,13 @@ from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 
 
 def unknown(text: str) -> Sequence:
-    return select_frames(dv.open(text), sensor=Sensor())
+    return dv.open(text).with_sensor(Sensor())
 
 
 @pytest.mark.parametrize("scene", ["demo", "hall_vlp16"])
 def test_simulated_sensors_are_found(scene: str) -> None:
     sequence = dv.open(f"simulate:{scene}?frames=2")
-    known, found = sequence.sensor, estimate_sensor(sequence)
+    known, found = sequence.sensor, estimate_sensor(Drive.of(sequence))
     assert found.rings == known.rings
     assert known.elevation is not None
     assert found.elevation == pytest.approx(known.elevation, abs=1.0)
@@ -103,11 +104,11 @@ def test_rows_are_counted_although_the_vehicle_pitches_within_a_sweep() -> None:
         scans.append(
             Scan(k, world.astype(np.float32), here, k * 10**8, origins=T[:, :3, 3], times=times)
         )
-    found = estimate_sensor(InMemory(scans, "bumps", Sensor()))
+    found = estimate_sensor(Drive.of(InMemory(scans, "bumps", Sensor())))
     assert found.rings == 12
     assert found.elevation == pytest.approx((-10.0, -1.2), abs=0.05)
     blurred = [dataclasses.replace(scan, times=None) for scan in scans]
-    assert estimate_sensor(InMemory(blurred, "bumps", Sensor())).rings is None
+    assert estimate_sensor(Drive.of(InMemory(blurred, "bumps", Sensor()))).rings is None
 
 
 def test_rows_of_two_lidars_in_one_scan_are_not_added() -> None:
@@ -123,9 +124,9 @@ def test_rows_of_two_lidars_in_one_scan_are_not_added() -> None:
     shuffle = np.random.default_rng(0).permutation(len(ring))
     points = (starts + ends)[shuffle].astype(np.float32)
     both = Scan(0, points, np.eye(4), origins=starts[shuffle])
-    assert estimate_sensor(InMemory([both], "pair", Sensor())).rings == 10
+    assert estimate_sensor(Drive.of(InMemory([both], "pair", Sensor()))).rings == 10
     one = Scan(0, points, np.eye(4))
-    assert estimate_sensor(InMemory([one], "pair", Sensor())).rings != 10
+    assert estimate_sensor(Drive.of(InMemory([one], "pair", Sensor()))).rings != 10
 
 
 def test_a_method_gets_the_estimates_that_it_needs() -> None:

@@ -14,7 +14,6 @@ import msgspec
 from dynaviz.benchmarking.plan import BenchCell, SequenceSpec, settings
 from dynaviz.benchmarking.source import open_spec
 from dynaviz.contracts.plugin_code import plugin
-from dynaviz.contracts.scan import Sequence
 from dynaviz.engine.outputs import FILES
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.io.atomic import sha256
@@ -23,6 +22,7 @@ from dynaviz.runs.execution import Surveyed, run_method
 from dynaviz.runs.options import RunOptions
 from dynaviz.runs.reviewed import digest_of
 from dynaviz.scores.result import Result, environment
+from dynaviz.sources.drive import Drive
 
 DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions may change labels
 
@@ -95,7 +95,7 @@ _surveys: dict[
 ] = {}  # of the last sequence that this process has read
 
 
-def _surveyed(source: SequenceSpec, sequence: Sequence, progress: Progress) -> Surveyed | None:
+def _surveyed(source: SequenceSpec, sequence: Drive, progress: Progress) -> Surveyed | None:
     """The survey of a sequence, whose cells follow each other.
 
     Made again if a file was added, removed or written.

@@ -9,20 +9,19 @@ from pathlib import Path
 
 from dynaviz.benchmarking.plan import SequenceSpec
 from dynaviz.contracts.params import read_toml
-from dynaviz.contracts.scan import Sequence, SequenceSlice
 from dynaviz.errors import DataError
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.opening import open_source
 from dynaviz.synthetic.simulate.presets import PRESETS
 
 
-def open_spec(source: SequenceSpec) -> Sequence:
+def open_spec(source: SequenceSpec) -> Drive:
     """Open a sequence of a bench, under its name in the plan.
 
     Raises:
         DataError, UsageError: as ``dynaviz.open``.
     """
-    opened = open_source(source.path, source.options.without_refinement)
-    return SequenceSlice(opened, range(len(opened)), opened.sensor, source.name)
+    return open_source(source.path, source.options.without_refinement).renamed(source.name)
 
 
 def placed(source: SequenceSpec, out: Path) -> SequenceSpec:

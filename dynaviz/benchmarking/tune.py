@@ -19,13 +19,12 @@ from dynaviz.benchmarking.runner import BenchCallbacks
 from dynaviz.benchmarking.search import default_ranges
 from dynaviz.contracts import registry
 from dynaviz.contracts.params import read_toml
-from dynaviz.contracts.scan import Sequence as ScanSequence
-from dynaviz.contracts.scan import WithoutTruth
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.collect import combined
 from dynaviz.scores.result import Result
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.opening import absolute, open_source
 from dynaviz.sources.options import SequenceKeywords, SequenceOptions
 from dynaviz.synthetic.implants.implant_options import ImplantOptions, parse
@@ -230,7 +229,7 @@ def _is(row: BenchRow, variant: str, names: Sequence[str]) -> bool:
 
 
 def _write_implants(
-    base: ScanSequence,
+    base: Drive,
     movers: ImplantOptions,
     out: Path,
     names: list[str],
@@ -246,7 +245,7 @@ def _write_implants(
     missing = [name for name in names if not (out / "implants" / name).exists()]
     if not missing:
         return
-    blind = WithoutTruth(base)
+    blind = base.blind()
     agreed = votes(blind, movers.panel, progress)
     lidar = LidarModel.measure(blind)
     survey = Survey.of(blind, lambda done, total: progress("survey", done, total), agreed.dynamic)

@@ -19,9 +19,7 @@ from dynaviz.cleaning.followed import Reviewed
 from dynaviz.cleaning.map_settings import MapSettings
 from dynaviz.cleaning.reviewing import Review, run_of
 from dynaviz.cleaning.trajectory import UsedPoses
-from dynaviz.contracts.attributes import facts_of
 from dynaviz.contracts.registry import BEST
-from dynaviz.contracts.scan import Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.cleaned_map import Judgement, region_is_empty, write_maps
 from dynaviz.errors import UsageError
@@ -30,6 +28,7 @@ from dynaviz.progress import Progress, silent
 from dynaviz.runs.execution import run_method
 from dynaviz.runs.options import SequenceRunKeywords, split
 from dynaviz.scores.labels import reasons_by_frame
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.opening import Source, open_source
 from dynaviz.sources.sensing import estimate_sensor, sentence
 
@@ -139,7 +138,7 @@ def clean(
         command=command,
         progress=progress,
     )
-    used: Sequence = result.answers.sequence  # with refined poses, if they were
+    used: Drive = result.answers.sequence  # with refined poses, if they were
     review = None if running.review is None else Reviewed.of(used, running.review)
     judgement = Judgement(
         result.labels,
@@ -157,7 +156,7 @@ def clean(
             pair, agreement, result, running, files[0], beside, command, progress
         )
     sensor = sentence(estimate_sensor(opened)) if opened.sensor.name == Sensor().name else ""
-    facts = facts_of(opened)
+    facts = opened.facts
     doubt = doubt_in(result, account, opened, command, Path(out), opened.estimated is None)
     cleaned = Cleaned(
         result=result,

@@ -18,9 +18,8 @@ import msgspec
 import numpy as np
 
 from dynaviz.arrays import I64, Bool
-from dynaviz.contracts.attributes import knowing, origin_of
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, WithoutTruth, stream
+from dynaviz.contracts.scan import Scan, stream
 from dynaviz.diagnosis.drives import DriveAgreement, compare_drives
 from dynaviz.engine.cleaned_map import Judgement, MapFile, WrittenMap, write_maps
 from dynaviz.engine.label_folder import NoParams
@@ -33,7 +32,7 @@ from dynaviz.scores.labels import reasons_by_frame
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import RemovedCluster
 from dynaviz.sources.datasets.drives import Drives
-from dynaviz.sources.opening import OpenedSequence, provenance
+from dynaviz.sources.drive import Drive
 from dynaviz.spatial.grid import SHIFTS, in_key_range, pack
 
 EDGE = 0.4  # metres: edge of a cell, in which the points of a drive agree on whether they changed
@@ -109,7 +108,7 @@ class Changes:
         for number, each in enumerate(self.clusters[:LISTED], 1):
             low = np.array(each.low)
             high = np.array(each.high)
-            middle = (low + high) / 2 + origin_of(self.result.answers.sequence)
+            middle = (low + high) / 2 + self.result.answers.sequence.origin
             size, place = (
                 ", ".join(f"{value:.1f}" for value in values) for values in (high - low, middle)
             )
@@ -129,20 +128,20 @@ class Pair:
         drives: their names.
     """
 
-    sequence: Sequence
+    sequence: Drive
     first: int
     drives: tuple[str, ...]
 
     @classmethod
-    def of(cls, sequence: Sequence) -> Pair:
+    def of(cls, sequence: Drive) -> Pair:
         """Find out where the second drive begins.
 
         Raises:
             UsageError: if the sequence does not have frames of exactly two drives.
         """
-        whole = knowing(sequence, Drives)
-        if whole is None or len(whole.parts) != 2:
-            number = 1 if whole is None else len(whole.parts)
+        whole = sequence.reader
+        if not isinstance(whole, Drives) or len(whole.parts) != 2:
+            number = len(whole.parts) if isinstance(whole, Drives) else 1
             raise UsageError(
                 f"--changed compares two drives, not {number}. Give two paths: monday/ tuesday/"
             )
@@ -157,10 +156,10 @@ class Pair:
         names = tuple(drive.name for drive in whole.parts)
         return cls(sequence, first, names if names[0] != names[1] else ("drive 1", "drive 2"))
 
-    def alone(self, which: int, sequence: Sequence) -> SequenceSlice:
+    def alone(self, which: int, sequence: Drive) -> Drive:
         """One of the drives, 0 or 1, of the sequence or one with other poses."""
         rows = range(self.first) if which == 0 else range(self.first, len(sequence))
-        return SequenceSlice(sequence, rows, sequence.sensor, self.drives[which])
+        return sequence.chosen(rows).renamed(self.drives[which])
 
     def compared(self) -> DriveAgreement:
         """How well the drives agree; raises DataError if they do not."""
@@ -215,13 +214,8 @@ def find_changes(
     )
     spec = RunSpec(
         labeller=labeller,
-        sequence=OpenedSequence(  # its ground truth, of what moves, says nothing about what changed
-            WithoutTruth(sequence),
-            range(len(sequence)),
-            sequence.sensor,
-            sequence.name,
-            provenance(sequence),
-        ),
+        # its ground truth, of what moves, says nothing about what changed
+        sequence=sequence.blind(),
         params=NoParams(),
         metrics=metrics_of(labeller.info),
         threads=options.threads,
@@ -272,9 +266,7 @@ Stood = Callable[[int], tuple[Bool, Bool]]
 whether it changed."""
 
 
-def _cells(
-    sequence: Sequence, first: int, stood: Stood, progress: Progress
-) -> tuple[_Cells, _Cells]:
+def _cells(sequence: Drive, first: int, stood: Stood, progress: Progress) -> tuple[_Cells, _Cells]:
     """The cells of both drives; memory grows with the area of the map."""
     tables = _Table(), _Table()
     for position, scan in enumerate(stream(sequence)):

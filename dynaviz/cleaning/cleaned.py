@@ -17,13 +17,12 @@ from dynaviz.cleaning.changes import Changes
 from dynaviz.cleaning.doubt import NOISY, Doubt
 from dynaviz.cleaning.followed import Reviewed
 from dynaviz.contracts import registry
-from dynaviz.contracts.attributes import origin_of
 from dynaviz.engine.cleaned_map import WrittenMap
 from dynaviz.errors import addressed
 from dynaviz.scores.account import PointAccount
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import Removals, RemovedCluster
-from dynaviz.sources.odometry.estimate import EstimatedPoses
+from dynaviz.sources.origin import EstimatedPoses
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -237,9 +236,8 @@ class Cleaned:
 
     def _place(self, cluster: RemovedCluster) -> str:
         """The middle of a cluster, in the coordinates of the map."""
-        middle = (np.array(cluster.low) + np.array(cluster.high)) / 2 + origin_of(
-            self.result.answers.sequence
-        )
+        origin = self.result.answers.sequence.origin
+        middle = (np.array(cluster.low) + np.array(cluster.high)) / 2 + origin
         return f"At {', '.join(f'{x:.1f}' for x in middle)} m."
 
     def __str__(self) -> str:

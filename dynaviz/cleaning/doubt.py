@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dynaviz.contracts.attributes import facts_of
 from dynaviz.scores.account import PointAccount
 from dynaviz.scores.result import Result
-from dynaviz.sources.opening import OpenedSequence
+from dynaviz.sources.drive import Drive
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -106,7 +105,7 @@ def doubt_of(
 def doubt_in(
     result: Result,
     account: PointAccount,
-    opened: OpenedSequence,
+    opened: Drive,
     command: str,
     out: Path,
     given: bool,
@@ -119,7 +118,7 @@ def doubt_in(
         command: that cleaned it; empty for one from Python.
         out: the map.
     """
-    facts = facts_of(opened)
+    facts = opened.facts
     source = " ".join(opened.provenance.sources) or "SEQ"
     in_world = facts.get("points in", "").startswith("world")
     words = shlex.split(command) or ["dynaviz", "clean", source, "-o", os.fspath(out)]

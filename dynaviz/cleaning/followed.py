@@ -10,9 +10,9 @@ from typing import Any
 
 import msgspec
 
-from dynaviz.contracts.scan import Sequence
 from dynaviz.reviews.applying import Applied
 from dynaviz.reviews.decisions import Decisions
+from dynaviz.sources.drive import Drive
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Reviewed:
     applied: Applied
 
     @classmethod
-    def of(cls, sequence: Sequence, review: str | os.PathLike[str] | Decisions) -> Reviewed:
+    def of(cls, sequence: Drive, review: str | os.PathLike[str] | Decisions) -> Reviewed:
         """The decisions of a file.
 
         Raises:

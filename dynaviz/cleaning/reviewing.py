@@ -17,8 +17,7 @@ from dynaviz.cleaning.doubt import doubt_in
 from dynaviz.cleaning.followed import Reviewed
 from dynaviz.cleaning.map_settings import MapSettings
 from dynaviz.cleaning.trajectory import UsedPoses
-from dynaviz.contracts.attributes import facts_of, origin_of
-from dynaviz.contracts.scan import Scan, Sequence, stream
+from dynaviz.contracts.scan import Scan, stream
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.cleaned_map import Judgement, region_is_empty, write_maps
 from dynaviz.errors import DataError, UsageError
@@ -33,8 +32,8 @@ from dynaviz.runs.reviewed import decisions_of
 from dynaviz.runs.run import open_run
 from dynaviz.scores.answers import RunAnswers
 from dynaviz.scores.labels import reasons_by_frame
-from dynaviz.sources.opening import OpenedSequence, Source, open_source
-from dynaviz.sources.options import SequenceOptions
+from dynaviz.sources.drive import Drive
+from dynaviz.sources.opening import Source
 from dynaviz.sources.sensing import estimate_sensor, sentence
 
 
@@ -71,10 +70,7 @@ class Review:
         self._run = open_run(run)
         self._run.file("labels.npz")
         self._decisions = decisions_of(self._run) if review is None else Decisions(review)
-        found = self._run.sequence(sequence, progress)
-        self._sequence: OpenedSequence = (
-            found if isinstance(found, OpenedSequence) else open_source(found, SequenceOptions())
-        )
+        self._sequence = self._run.sequence(sequence, progress)
 
     @property
     def file(self) -> Path:
@@ -105,7 +101,7 @@ class Review:
         ]
 
     @property
-    def sequence(self) -> OpenedSequence:
+    def sequence(self) -> Drive:
         """The sequence of the run."""
         return self._sequence
 
@@ -125,7 +121,7 @@ class Review:
                 yield scan
                 progress("looking for places", done, total)
 
-        return ReviewSurvey(scans(), labels, origin_of(self._sequence), points)
+        return ReviewSurvey(scans(), labels, self._sequence.origin, points)
 
     @cached_property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -138,7 +134,7 @@ class Review:
         """
         labels = self._run.labels
         self._check_labels(len(labels))
-        return candidates(stream(self._sequence), labels, origin_of(self._sequence))
+        return candidates(stream(self._sequence), labels, self._sequence.origin)
 
     def _check_labels(self, frames: int) -> None:
         if frames != len(self._sequence):
@@ -261,7 +257,7 @@ class Review:
             maps=tuple(maps),
             folder=folder,
             poses=None,
-            facts=facts_of(opened),
+            facts=opened.facts,
             sensor=_sensor(opened),
             doubt=doubt_in(result, account, opened, command, Path(out), not estimated),
             trajectory=trajectory if written else None,
@@ -297,7 +293,7 @@ def review(
     return Review(run, review, sequence, progress)
 
 
-def _sensor(opened: Sequence) -> str:
+def _sensor(opened: Drive) -> str:
     known = opened.sensor.name != Sensor().name
     return "" if known else sentence(estimate_sensor(opened))
 
@@ -305,7 +301,7 @@ def _sensor(opened: Sequence) -> str:
 class _SamePoints:
     """Checks that each scan has as many points as the labels."""
 
-    def __init__(self, sequence: Sequence, file: Path, points: list[int]) -> None:
+    def __init__(self, sequence: Drive, file: Path, points: list[int]) -> None:
         self._name = sequence.name
         self._file = file
         self._points = points

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.arrays import F64, I64
-from dynaviz.contracts.attributes import knowing, origin_of, trajectories_of
-from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.scan import Scan
 from dynaviz.sources.datasets.lidars import Lidars
 from dynaviz.sources.datasets.pose_matching import moved
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.odometry.pose_table import write_pose_rows
 from dynaviz.spatial.trajectory import Moved, PosesOverTime, Trajectory
 
@@ -31,10 +31,10 @@ class UsedPoses:
             their number.
     """
 
-    def __init__(self, sequence: Sequence) -> None:
+    def __init__(self, sequence: Drive) -> None:
         self._sequence = sequence
-        lidars = knowing(sequence, Lidars)
-        self._lidar = None if lidars is None else lidars.order[:, 0]
+        reader = sequence.reader
+        self._lidar = reader.order[:, 0] if isinstance(reader, Lidars) else None
         self._scans = defaultdict[int, list[tuple[int, int | None, F64]]](list)
         self._times = defaultdict[int, list[I64]](list)
 
@@ -56,7 +56,7 @@ class UsedPoses:
 
     def write(self, file: Path) -> bool:
         """Write the table; False if there is none to write."""
-        origin = origin_of(self._sequence)
+        origin = self._sequence.origin
         known = self._known()
         rows = list[tuple[int, F64]]()
         lidars = list[int]()
@@ -80,6 +80,6 @@ class UsedPoses:
         }
         if any(len(at[k]) < len(scans) for k, scans in self._scans.items()):
             return {}
-        return trajectories_of(self._sequence) or {
+        return self._sequence.trajectories or {
             k: Trajectory.of(list(poses), list(poses.values())) for k, poses in at.items()
         }

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from dynaviz.arrays import F64
     from dynaviz.contracts.scan import Scan, Sequence
     from dynaviz.scores.result import Result
+    from dynaviz.sources.drive import Drive
 
 
 @takes(SEQUENCE)
@@ -136,21 +137,19 @@ def _show_result(result: Result) -> None:
             show(f"\n{title}", table)
 
 
-def _sequence_facts(sequence: Sequence) -> dict[str, str]:
-    from dynaviz.contracts.attributes import facts_of, precision_of
-    from dynaviz.contracts.scan import base_of
+def _sequence_facts(sequence: Drive) -> dict[str, str]:
+    from dynaviz.contracts.attributes import precision_of
     from dynaviz.sources.summary import summarize
 
     with progress(sequence.name) as report:
         counted = _Counted(sequence)
         summary = summarize(counted, lambda done: report("read", done, len(sequence)))
-    source = base_of(sequence)
-    precision = precision_of(sequence, 0)
+    precision = precision_of(sequence.coordinates(0))
     low = summary.extent.low
     high = summary.extent.high
     return {
         "name": sequence.name,
-        "format": type(source).__name__,
+        "format": sequence.reader.format,
         "sensor": _sensor(sequence),
         "frames": f"{summary.frames:,}",
         "points": f"{summary.points:,} ({summary.points // max(summary.frames, 1):,} per frame)",
@@ -161,11 +160,11 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
         "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
         **({} if precision is None else {"coordinates": str(precision)}),
         "digest": summary.digest,
-        **facts_of(sequence),
+        **sequence.facts,
     }
 
 
-def _sensor(sequence: Sequence) -> str:
+def _sensor(sequence: Drive) -> str:
     """The sensor, or estimates of an unknown one."""
     from dynaviz.sources.sensing import estimate_sensor, sentence
 

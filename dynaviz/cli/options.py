@@ -17,7 +17,7 @@ from dynaviz.cli.console import set_quiet
 from dynaviz.errors import UsageError
 
 if TYPE_CHECKING:
-    from dynaviz.contracts.scan import Sequence
+    from dynaviz.sources.drive import Drive
 
 
 class PointFrame(StrEnum):
@@ -326,7 +326,7 @@ def typed_command() -> str:
     return shlex.join(["dynaviz", *sys.argv[1:]])
 
 
-def open_posed_or_not(path: str, options: dict[str, Any]) -> tuple[Sequence, str]:
+def open_posed_or_not(path: str, options: dict[str, Any]) -> tuple[Drive, str]:
     """The sequence, and the problem if it has no poses: then each scan is in its own frame.
 
     Raises:

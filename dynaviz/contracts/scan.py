@@ -1,4 +1,4 @@
-"""The shared data types Scan, Label, Outcome and Sequence; selecting and streaming frames."""
+"""The shared data types Scan, Label, Outcome and Sequence; streaming frames."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, U8, U16, Bool, Intp
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.errors import UsageError
 
 
 class Label(IntEnum):
@@ -209,132 +207,6 @@ class Sequence(Protocol):
     def __getitem__(self, position: int) -> Scan:
         """Read the frame at a position from 0 to len - 1; raises IndexError otherwise."""
         ...
-
-
-@runtime_checkable
-class HasScanFiles(Protocol):
-    """A sequence with one file per frame; the doctor then names the file of a bad frame."""
-
-    def scan_file(self, index: int) -> Path | None:
-        """The file of the frame with this number, or None."""
-        ...
-
-
-@runtime_checkable
-class HasUnmatchedPoints(Protocol):
-    """A sequence whose ground truth may lack some of the scans' points."""
-
-    @property
-    def unmatched(self) -> Mapping[int, int]:
-        """Number of points without ground truth, by frame number, of the frames read so far."""
-        ...
-
-
-class SequenceView:
-    """A sequence made of another one, ``whole``.
-
-    With its name, sensor, ground truth and length unless overridden.
-    """
-
-    whole: Sequence
-
-    @property
-    def name(self) -> str:
-        """The name of the sequence."""
-        return self.whole.name
-
-    @property
-    def sensor(self) -> Sensor:
-        """The sensor of the sequence."""
-        return self.whole.sensor
-
-    @property
-    def has_labels(self) -> bool:
-        """Whether the sequence has ground truth."""
-        return self.whole.has_labels
-
-    def __len__(self) -> int:
-        return len(self.whole)
-
-
-@dataclass(frozen=True)
-class WithoutTruth(SequenceView):
-    """A sequence without its ground truth."""
-
-    whole: Sequence
-    has_labels = False
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.whole[position].without_truth()
-
-
-@dataclass(frozen=True)
-class SequenceSlice:
-    """Selected frames of a sequence (``--frames A:B --stride K``), optionally with another sensor
-    or name.
-    """
-
-    whole: Sequence
-    positions: range
-    sensor: Sensor
-    name: str
-
-    @property
-    def has_labels(self) -> bool:
-        """Whether the whole sequence has ground truth."""
-        return self.whole.has_labels
-
-    def __len__(self) -> int:
-        return len(self.positions)
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.whole[self.positions[position]]
-
-
-def base_of(sequence: Sequence) -> Sequence:
-    """The sequence from which frames were selected, however often.
-
-    It has the files and facts of its format.
-    """
-    while isinstance(sequence, SequenceSlice):
-        sequence = sequence.whole
-    return sequence
-
-
-def select_frames(
-    sequence: Sequence, frames: str | None = None, stride: int = 1, sensor: Sensor | None = None
-) -> Sequence:
-    """Select frames of a sequence.
-
-    Args:
-        sequence: any sequence.
-        frames: ``A:B``, positions as in a Python slice, end exclusive; either may be omitted.
-        stride: use every N-th of these frames, N at least 1.
-        sensor: replaces the sequence's sensor.
-
-    Raises:
-        UsageError: for an invalid or empty range, or an invalid stride.
-    """
-    if frames is None and stride == 1 and sensor is None:
-        return sequence
-    if stride < 1:
-        raise UsageError(
-            f"--stride {stride}: must be at least 1. Give 1 for every frame, 2 for every second "
-            "frame"
-        )
-    try:
-        first, last = (int(x) if x.strip() else None for x in (frames or ":").split(":"))
-    except ValueError:
-        raise UsageError(
-            f"--frames {frames}: invalid range. Give A:B, for example 0:100 for the first hundred "
-            "frames"
-        ) from None
-    positions = range(len(sequence))[slice(first, last, stride)]
-    if not positions:
-        raise UsageError(
-            f"--frames {frames}: selects none of the {len(sequence)} frames of {sequence.name}"
-        )
-    return SequenceSlice(sequence, positions, sensor or sequence.sensor, sequence.name)
 
 
 F = TypeVar("F", covariant=True)

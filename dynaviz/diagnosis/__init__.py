@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.contracts.attributes import is_exact, knowing
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.diagnosis import placement, rivals, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
@@ -30,11 +29,10 @@ from dynaviz.errors import DataError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.in_memory import ArraySequence
-from dynaviz.sources.hypotheses.delays import HasPosePath
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.hypotheses.views import ScanView, comparable
 from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
-from dynaviz.spatial.trajectory import PosesOverTime
 
 __all__ = ["OF_POSES", "Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
 
@@ -69,9 +67,16 @@ def doctor(
         DataError: if the path is not a recognised sequence, or no frame can be read.
     """
     if isinstance(sequence, str | os.PathLike):
-        sequence = open_sequence(os.fspath(sequence))
-    elif not isinstance(sequence, Sequence):
-        sequence = ArraySequence.of(sequence)
+        drive = open_sequence(os.fspath(sequence))
+    elif isinstance(sequence, Sequence):
+        drive = Drive.of(sequence)
+    else:
+        drive = Drive.of(ArraySequence.of(sequence))
+    return _diagnosed(drive, progress)
+
+
+def _diagnosed(sequence: Drive, progress: Progress) -> Diagnosis:
+    """The diagnosis of a drive; arguments and errors as those of ``doctor``."""
     checker = ScanChecker(sequence)
     findings = list[Finding]()
     errors = list[DataError]()
@@ -128,7 +133,7 @@ def doctor(
     )
 
 
-def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
+def quick_check(sequence: Drive) -> tuple[PoseFinding, ...]:
     """The likely findings of ``doctor`` on poses, frames and units, from the same few frames.
 
     At most 52.
@@ -137,7 +142,7 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     Simulated sequences, and copies with implants, are not checked: reading them is slow. Errors of
     reading are not reported: reading the whole sequence reports them.
     """
-    if is_exact(sequence) or len(sequence) < 2:
+    if sequence.exact or len(sequence) < 2:
         return ()
     groups = FrameGroups(sequence)
     if not groups.checker.positions:
@@ -154,7 +159,7 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     return tuple(PoseFinding(each.name, each.problem, each.fix, each.option) for each in likely)
 
 
-def _of_files(sequence: Sequence, checker: ScanChecker) -> list[Finding]:
+def _of_files(sequence: Drive, checker: ScanChecker) -> list[Finding]:
     """Findings on the first file, from which all others would follow."""
     position = checker.positions[0]
     return [
@@ -201,7 +206,7 @@ def _drift(groups: FrameGroups, places: list[tuple[int, int]], progress: Progres
         return found
     pairs = groups.views(groups.pairs(), progress)
     near = lambda: groups.views(groups.pairs_apart(2), progress)  # noqa: E731
-    path = _path(groups)
+    path = groups.few.pose_path
     explained = (
         (path and rivals.delay_finding(views, pairs, path))
         or rivals.mount_finding(views, near, drifts=True)
@@ -209,12 +214,6 @@ def _drift(groups: FrameGroups, places: list[tuple[int, int]], progress: Progres
         or rivals.misplaced(pairs, near, path)
     )
     return [explained] if explained else found
-
-
-def _path(groups: FrameGroups) -> PosesOverTime | None:
-    """The poses over time; None if they have no times."""
-    known = knowing(groups.few.whole, HasPosePath)  # type: ignore[type-abstract]  # a protocol
-    return None if known is None else known.pose_path
 
 
 def _out_of_order(groups: FrameGroups) -> Finding | None:
@@ -309,12 +308,12 @@ def _check_alignment(
     others = lambda: groups.views(groups.pairs(skipped=1), progress)  # noqa: E731
     near = lambda: groups.views(groups.pairs_apart(2), progress)  # noqa: E731
     if explained := better_interpretation(views, others):
-        yield rivals.weighed(*explained, views, near, _path(groups))
+        yield rivals.weighed(*explained, views, near, groups.few.pose_path)
     elif up := next(upright.check_up(views, checker.poses), None):
         yield rivals.weighed(None, up, views, near, None) if up.name in UPS else up
     elif beside := rivals.upside_down(views, near):
         yield beside
-    elif not same and (wrong := rivals.misplaced(views, near, _path(groups), SPARSE)):
+    elif not same and (wrong := rivals.misplaced(views, near, groups.few.pose_path, SPARSE)):
         yield wrong
     elif (
         views

@@ -6,18 +6,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynaviz.contracts.attributes import attributes_of, scan_file_of
-from dynaviz.contracts.scan import Sequence
 from dynaviz.diagnosis.finding import Confidence, Finding
 from dynaviz.errors import DataError
 from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne
+from dynaviz.sources.drive import Drive
 
 FEWEST = 500  # points from which an order is judged
 NEGATIVE = 0.05  # share of negative values from which a column is a coordinate
 HEIGHTS = 0.3  # metres; standard deviation from which it is not a time either
 
 
-def check_columns(sequence: Sequence, index: int, position: int) -> Iterator[Finding]:
+def check_columns(sequence: Drive, index: int, position: int) -> Iterator[Finding]:
     """A finding if a file has more or fewer columns than its format reads, or has them in another
     order.
 
@@ -26,11 +25,11 @@ def check_columns(sequence: Sequence, index: int, position: int) -> Iterator[Fin
         index: number of the frame whose file is examined.
         position: its position in the sequence.
     """
-    file = scan_file_of(sequence, index)
+    file = sequence.scan_file(index)
     if file is None or file.suffix.lower() != ".bin":
         return
     try:
-        read = 3 + len(attributes_of(sequence, position))
+        read = 3 + len(sequence.attributes(position))
         found = detect_columns(file)
         columns = read_velodyne(file, len(found))
     except DataError:

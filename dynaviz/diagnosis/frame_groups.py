@@ -10,12 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.attributes import Attributes, attributes_of, coordinates_of
-from dynaviz.contracts.scan import Scan, Sequence, SequenceView
+from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import LONG_STEPS
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress
+from dynaviz.sources.derived import Derived
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.hypotheses.views import MAX_APART, ScanView, apart, around, comparable
 
 GROUPS = 6  # of frames, spread over the sequence; a pair of each is compared
@@ -26,23 +28,23 @@ POINTS = 30_000  # of a frame, at most
 Rows = list[tuple[int, int]]
 
 
-@dataclass(frozen=True)
-class FewPoints(SequenceView):
-    """A sequence of which each frame is read once, with at most ``POINTS`` points."""
+@dataclass(frozen=True, eq=False)
+class FewPoints(Derived):
+    """A drive of which each frame is read once, with at most ``POINTS`` points."""
 
-    whole: Sequence
+    whole: Drive
     kept: dict[int, Scan]
 
     has_labels = False
 
     def attributes(self, position: int) -> Attributes:
         """Those of the points."""
-        found = attributes_of(self.whole, position)
+        found = self.whole.attributes(position)
         return {name: array[:: _step(len(array))] for name, array in found.items()}
 
     def coordinates(self, position: int) -> F32 | F64 | None:
         """Those of the points."""
-        found = coordinates_of(self.whole, position)
+        found = self.whole.coordinates(position)
         return None if found is None else found[:: _step(len(found))]
 
     def __getitem__(self, position: int) -> Scan:
@@ -75,8 +77,8 @@ class FrameGroups:
         checker: of the frames that were read.
     """
 
-    def __init__(self, sequence: Sequence) -> None:
-        self.few = FewPoints(sequence, {})
+    def __init__(self, sequence: Drive) -> None:
+        self.few = Drive.of(FewPoints(sequence, {}))
         self.checker = ScanChecker(self.few)
         self._groups: list[list[int]] = []  # positions
         starts = np.unique(np.linspace(0, max(len(sequence) - 2, 0), GROUPS).astype(int))

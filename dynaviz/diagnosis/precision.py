@@ -7,15 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from dynaviz.contracts.attributes import precision_of
-from dynaviz.contracts.scan import Sequence
 from dynaviz.diagnosis.finding import Confidence, Finding
+from dynaviz.sources.drive import Drive
 
 COARSEST = 0.02  # metres; steps of coordinates that are not coarse
 
 
-def check_precision(sequence: Sequence, position: int) -> Iterator[Finding]:
+def check_precision(sequence: Drive, position: int) -> Iterator[Finding]:
     """A finding if the coordinates of a frame have steps of more than ``COARSEST``."""
-    found = precision_of(sequence, position)
+    found = precision_of(sequence.coordinates(position))
     if found is None or found.step.max() <= COARSEST:
         return
     axis = int(np.argmax(found.step))

@@ -5,17 +5,17 @@ Only a few numbers of each scan are kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, Bool
-from dynaviz.contracts.attributes import knowing, scan_file_of
 from dynaviz.contracts.extent import FAR
-from dynaviz.contracts.scan import HasUnmatchedPoints, Label, Scan, Sequence
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
+from dynaviz.sources.drive import Drive
 from dynaviz.spatial import geometry
 
 HOUSING = (
@@ -263,7 +263,7 @@ class ScanChecker:
         usable: whether each frame has finite points, none too far from the world's origin.
     """
 
-    def __init__(self, sequence: Sequence) -> None:
+    def __init__(self, sequence: Drive) -> None:
         self.sequence = sequence
         self.positions: list[int] = []
         self.indices: list[int] = []
@@ -357,7 +357,7 @@ class ScanChecker:
                 "(--frames A:B)"
             )
             yield Finding("no dynamic label", Confidence.CERTAIN, problem, fix)
-        unmatched = _unmatched_points(self.sequence)
+        unmatched = self.sequence.unmatched
         lost = {index: unmatched[index] for index in self.indices if unmatched.get(index)}
         if lost:
             occurrences = Occurrences()
@@ -424,13 +424,7 @@ class ScanChecker:
             yield self._finding("gap in time", Confidence.CERTAIN, problem, fix, pauses)
 
 
-def file_of(sequence: Sequence, index: int) -> str | None:
+def file_of(sequence: Drive, index: int) -> str | None:
     """The file of a frame, by its number; None if the format does not keep one file per frame."""
-    file = scan_file_of(sequence, index)
+    file = sequence.scan_file(index)
     return None if file is None else str(file)
-
-
-def _unmatched_points(sequence: Sequence) -> Mapping[int, int]:
-    """The number of points without ground truth, by frame number, of the frames read so far."""
-    known = knowing(sequence, HasUnmatchedPoints)  # type: ignore[type-abstract]  # a protocol
-    return {} if known is None else known.unmatched

@@ -15,18 +15,8 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import F64, I64, U8, Bool, Intp, all_finite
-from dynaviz.contracts.attributes import (
-    Attributes,
-    Unposed,
-    attributes_of,
-    coordinates_of,
-    exact_points,
-    las_file_of,
-    origin_of,
-    unposed_of,
-)
+from dynaviz.contracts.attributes import Attributes, Unposed
 from dynaviz.contracts.scan import Scan, stream
-from dynaviz.contracts.scan import Sequence as ScanSequence
 from dynaviz.engine.loop import Reviewing
 from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
@@ -35,6 +25,7 @@ from dynaviz.io.las_map import LAS, LasHead
 from dynaviz.io.maps import Writing, divided_map, map_tiles, open_map
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.account import PointAccount
+from dynaviz.sources.drive import Drive
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
 
 
@@ -107,7 +98,7 @@ class Judgement:
 
 
 def write_maps(
-    sequence: ScanSequence,
+    sequence: Drive,
     judgement: Judgement,
     files: Sequence[MapFile],
     progress: Progress = silent,
@@ -130,10 +121,10 @@ def write_maps(
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     fields = _dtypes(sequence)
-    origin = origin_of(sequence)
-    given = coordinates_of(sequence, 0)
+    origin = sequence.origin
+    given = sequence.coordinates(0)
     double = given is not None and given.dtype == np.float64
-    like = las_file_of(sequence)
+    like = sequence.las_file
     stamp = sequence[0].stamp_ns
     timed = stamp is not None and "gps_time" not in fields
     # otherwise the clock does not tell the date
@@ -165,7 +156,7 @@ def write_maps(
             for each in maps:
                 each.add(points)
             progress("write", position + 1, len(sequence))
-        for unposed in unposed_of(sequence):
+        for unposed in sequence.unposed():
             placed = unposed.xyz is not None and not drop_unposed
             kept = _Points.unjudged(unposed, conform) if placed else None
             for each in maps:
@@ -177,7 +168,7 @@ def write_maps(
 class _Frames:
     """The frames of a sequence, each with its coordinates in the source and its attributes."""
 
-    sequence: ScanSequence
+    sequence: Drive
 
     def __len__(self) -> int:
         return len(self.sequence)
@@ -186,22 +177,22 @@ class _Frames:
         scan = self.sequence[position]
         return (
             scan,
-            exact_points(self.sequence, position, scan),
-            attributes_of(self.sequence, position),
+            self.sequence.exact_points(position, scan),
+            self.sequence.attributes(position),
         )
 
 
-def region_is_empty(sequence: ScanSequence, region: Region) -> bool:
+def region_is_empty(sequence: Drive, region: Region) -> bool:
     """Whether a region contains no point of a sequence.
 
     Frames are read until one is found, in random order.
     """
-    origin = origin_of(sequence)
+    origin = sequence.origin
     for position in np.random.default_rng(0).permutation(len(sequence)).tolist():
         points = sequence[position].points
         if region.contains(points[all_finite(points)].astype(np.float64) + origin).any():
             return False
-    unposed = (each.xyz for each in unposed_of(sequence) if each.xyz is not None)
+    unposed = (each.xyz for each in sequence.unposed() if each.xyz is not None)
     return not any(region.contains(xyz).any() for xyz in unposed)
 
 
@@ -272,10 +263,10 @@ def _times(scan: Scan, stamp_ns: int) -> I64:
     return stamp_ns + offsets.astype(np.int64)
 
 
-def _dtypes(sequence: ScanSequence) -> dict[str, np.dtype[Any]]:
+def _dtypes(sequence: Drive) -> dict[str, np.dtype[Any]]:
     """Attributes of the first frame that has any, with their types; x, y and z are coordinates."""
     for position in range(min(len(sequence), 10)):
-        if found := attributes_of(sequence, position):
+        if found := sequence.attributes(position):
             return {
                 name: array.dtype
                 for name, array in found.items()

@@ -16,13 +16,13 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from dynaviz.arrays import F32, F64, Bool, all_finite, single
-from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
-from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.scan import Scan
 from dynaviz.engine.label_folder import UNANSWERED, LabelFolder, NoParams
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.fields import coordinates, read_fields, read_points
 from dynaviz.scores.labels import RunLabels
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.nearest import Nearest
 
@@ -71,7 +71,7 @@ class ExternalMap:
         name: for tables.
         radius: metres, 0 or more.
         origin: (3,) float64, metres: subtracted from the map, as from the sequence
-            (``dynaviz.contracts.attributes.origin_of``).
+            (``Drive.origin``).
 
     Raises:
         UsageError: for an invalid radius.
@@ -228,7 +228,7 @@ def default_name(path: str | os.PathLike[str]) -> str:
 
 def read_external(
     path: str | os.PathLike[str],
-    sequence: Sequence,
+    sequence: Drive,
     *,
     radius: float = RADIUS,
     name: str | None = None,
@@ -260,4 +260,4 @@ def read_external(
         raise UsageError(f"key = {key}: give it only for a folder of .npz files, one per scan")
     if labels.suffix.lower() == ".npz":
         return PrecomputedLabels(labels, name)
-    return ExternalMap(path, name, radius, origin_of(sequence))
+    return ExternalMap(path, name, radius, sequence.origin)

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
-from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError
 from dynaviz.io.scan_labels import SUFFIXES, read_moving
+from dynaviz.sources.drive import Drive
 
 _STATIC, _MOVING, _UNANSWERED = range(3)
 UNANSWERED = "unanswered"
@@ -53,7 +54,7 @@ class LabelFolder:
 
     scoring = "mask"
 
-    def __init__(self, path: Path, name: str, sequence: Sequence, key: str | None = None) -> None:
+    def __init__(self, path: Path, name: str, sequence: Drive, key: str | None = None) -> None:
         self.path = _folder(path, sequence.name)
         self.params = NoParams()
         self._key = key

@@ -20,13 +20,12 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import U8, Bool, all_finite
 from dynaviz.contracts.at_sensor import AtSensor, unjudged
-from dynaviz.contracts.attributes import unposed_of
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import AT_SENSOR, Context, Labeller, Labels, Method
 from dynaviz.contracts.metric import Figure, Labelled, Metric
 from dynaviz.contracts.plugin_code import plugin
 from dynaviz.contracts.probe import SILENT, MemoryProbe, Probe
-from dynaviz.contracts.scan import Scan, Sequence, base_of, stream
+from dynaviz.contracts.scan import Scan, Sequence, stream
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.engine.updating import Updates
 from dynaviz.errors import PluginError, UsageError
@@ -36,7 +35,7 @@ from dynaviz.scores.answers import RunAnswers
 from dynaviz.scores.labels import RunLabels
 from dynaviz.scores.result import RecordMode, Result, environment
 from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
-from dynaviz.sources.opening import provenance
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 from dynaviz.sources.summary import SequenceSummary, summarize
@@ -100,6 +99,11 @@ class RunSpec:
     summary: SequenceSummary | None = None
     pose_findings: tuple[PoseFinding, ...] = ()
     review: Reviewing | None = None
+
+    @property
+    def drive(self) -> Drive:
+        """The sequence, which need not be a drive for tests of methods."""
+        return Drive.of(self.sequence)
 
     @property
     def method(self) -> Method | None:
@@ -244,7 +248,7 @@ def execute(
     updates.look()
     sections = msgspec.structs.replace(_sections(run.metrics), **more())
     labels = RunLabels(answer.packed(), np.array(counts, np.int64))
-    unposed = sum(each.number for each in unposed_of(run.sequence))
+    unposed = sum(each.number for each in run.drive.unposed())
     judged = sum(counts) - not_finite
     account = PointAccount(
         points=sum(counts) + unposed,
@@ -253,7 +257,7 @@ def execute(
         unposed_left_out=unposed,
         not_finite=not_finite,
     )
-    answers = RunAnswers(run.sequence, labels, run.folder, run.recording)
+    answers = RunAnswers(run.drive, labels, run.folder, run.recording)
     instrumented = method is not None and probe is not SILENT
     result = _result(
         run, summary, at_sensor, sections, runtime, answers, account, answer.sha256(), instrumented
@@ -365,9 +369,9 @@ def _result(
         environment=environment(),
         command=run.command,
         pose_noise=summary.pose_noise,
-        pose_refinement=getattr(base_of(run.sequence), "refinement", None),
+        pose_refinement=run.drive.refinement,
         pose_findings=run.pose_findings,
-        origin=provenance(run.sequence),
+        origin=run.drive.provenance,
         plugin=plugin("methods", name) if hasattr(run.labeller, "Params") else None,
         account=account,
         answers=answers,

@@ -6,13 +6,14 @@ from typing import Any
 
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context, Method
-from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.sources.carrier import with_carrier
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.sensing import with_needed_facts
 
 
-def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:
+def suited(method: type[Method], params: Any, sequence: Drive) -> Drive:
     """The sequence, with estimates in place of facts of the sensor that the method needs or uses
     and that are unknown.
 

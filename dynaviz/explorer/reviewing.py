@@ -13,7 +13,6 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.cleaning.map_settings import MapSettings
 from dynaviz.cleaning.reviewing import Review
-from dynaviz.contracts.attributes import origin_of
 from dynaviz.errors import DynavizError, UsageError
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.reviews.applying import NONE
@@ -94,7 +93,7 @@ class ReviewPage:
         """What is shown of a candidate: its box, and over the frames what scans saw of it."""
         survey, review = self._ready()
         chosen = self._chosen(query)
-        origin = origin_of(review.sequence)
+        origin = review.sequence.origin
         low = np.array(chosen.low) - origin
         high = np.array(chosen.high) - origin
         seen = survey.around(low, high, chosen.region, ())
@@ -128,7 +127,7 @@ class ReviewPage:
         """
         survey, review = self._ready()
         chosen = self._chosen(query)
-        origin = origin_of(review.sequence)
+        origin = review.sequence.origin
         low, high = _window(np.array(chosen.low) - origin, np.array(chosen.high) - origin, BESIDE)
         seen = survey.around(low, high, chosen.region, review.decisions)
         flags = seen.removed + 2 * seen.chosen
@@ -154,7 +153,7 @@ class ReviewPage:
         span = None
         what = ""
         if "low" in query:
-            about = self._box(query, origin_of(review.sequence))
+            about = self._box(query, review.sequence.origin)
             what = f"box of {_size(about)} m"
             span = self._span(query)
         review.decide(

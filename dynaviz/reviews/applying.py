@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import F64, I64, U8, Bool, Intp
-from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.contracts.scan import Sequence as ScanSequence
 from dynaviz.errors import DataError
 from dynaviz.reviews.decisions import LABELS, VERDICTS, Decisions, ReviewDecision, Seen
 from dynaviz.reviews.regions import ObjectRegion, clock_of, time_of
+from dynaviz.sources.drive import Drive
 
 NONE = 255
 """Verdict of a point that no decision is about."""
@@ -99,14 +98,14 @@ class Applied:
         self.by_hand = ByHand([Effect(each) for each in self._decisions])
 
     @classmethod
-    def to(cls, sequence: ScanSequence, decisions: Decisions, makes_truth: bool = False) -> Applied:
+    def to(cls, sequence: Drive, decisions: Decisions, makes_truth: bool = False) -> Applied:
         """The decisions of a file on a sequence.
 
         Raises:
             DataError: if they were made in another world frame.
         """
         held = decisions.standing
-        found = cls(held, origin_of(sequence), makes_truth)
+        found = cls(held, sequence.origin, makes_truth)
         found._other = times_elsewhere(sequence, held, decisions.path)
         return found
 
@@ -225,7 +224,7 @@ class _Chooser:
 
 
 def times_elsewhere(
-    sequence: ScanSequence, decisions: Sequence[ReviewDecision], path: str | os.PathLike[str]
+    sequence: Drive, decisions: Sequence[ReviewDecision], path: str | os.PathLike[str]
 ) -> frozenset[int]:
     """Which decisions are about times of another drive than a sequence, by position in the list.
 
@@ -235,7 +234,7 @@ def times_elsewhere(
     Raises:
         DataError: if it is the same drive, but in another world frame.
     """
-    origin = origin_of(sequence)
+    origin = sequence.origin
     away: dict[str, float | None] = {}
     for each in decisions:
         if each.seen is not None and each.by not in away:
@@ -262,23 +261,23 @@ def times_elsewhere(
     )
 
 
-def seen_in(sequence: ScanSequence, position: int) -> Seen:
+def seen_in(sequence: Drive, position: int) -> Seen:
     """Where the sensor is in a frame, for a decision."""
     scan = sequence[position]
     clock = clock_of(scan)
     time = time_of(scan, clock)
     assert time is not None
-    place = scan.position + origin_of(sequence)
+    place = scan.position + sequence.origin
     return Seen(clock, time, tuple(place.tolist()), sequence.name)
 
 
-def _same_drive(decision: ReviewDecision, sequence: ScanSequence) -> bool:
+def _same_drive(decision: ReviewDecision, sequence: Drive) -> bool:
     """Whether times of a decision are certainly those of a sequence, if it has them."""
     seen = decision.seen
     return seen is not None and (seen.dated or seen.sequence in ("", sequence.name))
 
 
-def _scan_at(sequence: ScanSequence, decision: ReviewDecision) -> Scan | None:
+def _scan_at(sequence: Drive, decision: ReviewDecision) -> Scan | None:
     """The scan from which a decision's part was seen; None if there is none of that time.
 
     Scans are taken to be in the order of time.

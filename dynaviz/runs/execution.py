@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import threading
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -19,11 +18,9 @@ from typing import Any, cast, get_args
 import msgspec
 
 from dynaviz.contracts import registry
-from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Labelled, Metric
 from dynaviz.contracts.probe import SILENT, Probe
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice
 from dynaviz.engine.external import External
 from dynaviz.engine.loop import Listener, RunSpec, execute, of_one_scan
 from dynaviz.engine.needs import suited
@@ -38,7 +35,8 @@ from dynaviz.runs.reviewed import ReviewOfRun
 from dynaviz.runs.tiles.grid import TileCounts
 from dynaviz.runs.tiles.label_tiles import TileOptions, label_tiles
 from dynaviz.scores.result import RecordMode, Result
-from dynaviz.sources.opening import refined
+from dynaviz.sources.drive import Drive
+from dynaviz.sources.odometry.refine import refine
 from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 from dynaviz.sources.summary import SequenceSummary, summarize
@@ -56,10 +54,10 @@ class Surveyed:
     findings: tuple[PoseFinding, ...]
 
     @classmethod
-    def of(cls, sequence: Sequence, progress: Progress = silent) -> Surveyed:
+    def of(cls, sequence: Drive, progress: Progress = silent) -> Surveyed:
         """Read a sequence, and check its poses on another thread; its findings are warned of."""
         total = len(sequence)
-        shared = _OneReader(sequence, range(len(sequence)), sequence.sensor, sequence.name)
+        shared = sequence.for_threads()
         with ThreadPoolExecutor(1, "poses") as pool:
             findings = pool.submit(_pose_findings, shared)
             summary = summarize(
@@ -68,20 +66,9 @@ class Surveyed:
         return cls(summary, _warned(sequence, findings.result(), 6))
 
 
-@dataclass(frozen=True)
-class _OneReader(SequenceSlice):
-    """Frames of a sequence for several threads: one of them reads at a time."""
-
-    reading: threading.Lock = field(default_factory=threading.Lock)
-
-    def __getitem__(self, position: int) -> Scan:
-        with self.reading:
-            return super().__getitem__(position)
-
-
 def run_method(
     method: str,
-    sequence: Sequence,
+    sequence: Drive,
     options: RunOptions,
     *,
     out: Path | None = None,
@@ -114,7 +101,7 @@ def run_method(
     ):  # the frames of the run are surveyed later
         known = _warned(given, _pose_findings(given), 4)
     if refine_poses:
-        sequence = refined(sequence, out, progress)
+        sequence = refine(sequence, out, progress)
     recording, mode = recording_of(options.record, out)
     if options.view and recording is None:
         raise UsageError(
@@ -158,7 +145,7 @@ def run_method(
 
 def score_external(
     external: External,
-    sequence: Sequence,
+    sequence: Drive,
     *,
     out: Path | None = None,
     record: Record | str | os.PathLike[str] = "errors",
@@ -191,7 +178,7 @@ def score_external(
 
 
 def review_of(
-    review: str | os.PathLike[str] | None, sequence: Sequence, makes_truth: bool = False
+    review: str | os.PathLike[str] | None, sequence: Drive, makes_truth: bool = False
 ) -> ReviewOfRun | None:
     """What counts the decisions of a file on a sequence; None without a file."""
     if review is None:
@@ -290,7 +277,7 @@ def _run(
             listeners.append(RemoveStaleOutputs(folder, spec.recording, maps))
             listeners.append(files.enter_context(LabelsFile(folder)))
             if maps:
-                listeners.append(files.enter_context(MapFiles(folder, origin_of(spec.sequence))))
+                listeners.append(files.enter_context(MapFiles(folder, spec.drive.origin)))
         if spec.recording is not None:
             from dynaviz.views.record.recorder import Recorder
 
@@ -342,7 +329,7 @@ def _run_tiles(
             folder,
             type(spec.labeller),
             spec.params,
-            spec.sequence,
+            spec.drive,
             replace(options, budget=share if drawn else None),
             online=spec.online,
             seed=spec.seed,
@@ -372,7 +359,7 @@ def _overwritten(path: Path) -> list[Path]:
     )
 
 
-def _pose_findings(sequence: Sequence) -> tuple[PoseFinding, ...]:
+def _pose_findings(sequence: Drive) -> tuple[PoseFinding, ...]:
     """What is likely wrong with poses or points.
 
     The frames and units of data sets with ground truth are taken to be right; their poses may
@@ -386,7 +373,7 @@ def _pose_findings(sequence: Sequence) -> tuple[PoseFinding, ...]:
 
 
 def _warned(
-    sequence: Sequence, findings: tuple[PoseFinding, ...], level: int
+    sequence: Drive, findings: tuple[PoseFinding, ...], level: int
 ) -> tuple[PoseFinding, ...]:
     """The findings, with a warning each at a level of the stack."""
     for each in findings:

@@ -10,7 +10,7 @@ from pathlib import Path
 from dynaviz import kernels
 from dynaviz.contracts.probe import SILENT
 from dynaviz.contracts.registry import BEST
-from dynaviz.contracts.scan import Sequence, stream
+from dynaviz.contracts.scan import stream
 from dynaviz.engine.needs import suited
 from dynaviz.errors import UsageError
 from dynaviz.online import check_numbers, why_not_live
@@ -18,10 +18,11 @@ from dynaviz.online.player import PERIOD, Played, PlayReport, play
 from dynaviz.online.session import LiveSession, Settings, warm_up
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.options import MethodOptions
+from dynaviz.sources.drive import Drive
 
 
 def play_live(
-    sequence: Sequence,
+    sequence: Drive,
     method: str = BEST,
     *,
     rate: float = 1.0,

@@ -12,7 +12,7 @@ import numpy as np
 
 from dynaviz.arrays import U8
 from dynaviz.contracts.metric import Labelled
-from dynaviz.contracts.scan import Label, Scan, Sequence, outcomes, stream
+from dynaviz.contracts.scan import Label, Scan, outcomes, stream
 from dynaviz.engine.loop import Listener
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import open_file, sha256
@@ -23,6 +23,7 @@ from dynaviz.runs.rescore import rescore
 from dynaviz.runs.run import Run, open_run
 from dynaviz.scores.scores import SCORES, Counts
 from dynaviz.scores.sections import ReviewSection
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.opening import Source
 
 
@@ -78,7 +79,7 @@ class ReviewOfRun(Listener):
         DataError: for decisions of another world frame.
     """
 
-    def __init__(self, decisions: Decisions, sequence: Sequence, makes_truth: bool = False) -> None:
+    def __init__(self, decisions: Decisions, sequence: Drive, makes_truth: bool = False) -> None:
         self._file = decisions.path
         self._digest = digest_of(decisions.path)
         self.applied = Applied.to(sequence, decisions, makes_truth)

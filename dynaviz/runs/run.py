@@ -22,6 +22,7 @@ from dynaviz.progress import Progress, silent
 from dynaviz.scores.answers import RunAnswers
 from dynaviz.scores.labels import RunLabels
 from dynaviz.scores.result import Result
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.opening import Source, open_source, reopened
 from dynaviz.sources.options import SequenceOptions
 
@@ -109,7 +110,7 @@ class Run:
         """
         return PrecomputedLabels(self.file("labels.npz"), self.result.method)
 
-    def sequence(self, at: Source | None = None, progress: Progress = silent) -> Sequence:
+    def sequence(self, at: Source | None = None, progress: Progress = silent) -> Drive:
         """The frames of the run with its poses and sensor, bit for bit.
 
         Args:
@@ -125,7 +126,7 @@ class Run:
         answers = self.result.answers
         found = answers.sequence if at is None and isinstance(answers, RunAnswers) else at
         if isinstance(found, Sequence):
-            return found
+            return Drive.of(found)
         if origin is None:
             if at is None:
                 raise UsageError(
@@ -149,7 +150,7 @@ class Run:
                 raise
             raise DataError(error.path, error.problem, at=error.at, hint=ELSEWHERE) from None
 
-    def spec(self, sequence: Sequence, threads: int | None = None) -> RunSpec:
+    def spec(self, sequence: Drive, threads: int | None = None) -> RunSpec:
         """The run again, on its sequence, without metrics.
 
         Labels of another program are read from the run's files.

@@ -13,11 +13,10 @@ from typing import Protocol
 import numpy as np
 
 from dynaviz.arrays import F64, all_finite
-from dynaviz.contracts.attributes import exact_points
-from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import UsageError
 from dynaviz.io.pcd import read_pcd
 from dynaviz.scores.labels import RunLabels
+from dynaviz.sources.drive import Drive
 
 
 class Answers(Protocol):
@@ -44,7 +43,7 @@ class RunAnswers:
         recording: its file, if there is one.
     """
 
-    sequence: Sequence
+    sequence: Drive
     labels: RunLabels
     folder: Path | None = None
     recording: Path | None = None
@@ -55,7 +54,7 @@ class RunAnswers:
         for position in range(len(self.sequence)):
             scan = self.sequence[position]
             kept = ~self.labels[position] & all_finite(scan.points)
-            parts.append(exact_points(self.sequence, position, scan)[kept])
+            parts.append(self.sequence.exact_points(position, scan)[kept])
         return np.concatenate(parts)
 
 

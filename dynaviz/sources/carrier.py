@@ -8,8 +8,8 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64, Bool, Intp
 from dynaviz.contracts.at_sensor import CUBE, HOUSING, in_sensor_frame
-from dynaviz.contracts.attributes import is_exact
-from dynaviz.contracts.scan import Scan, Sequence, select_frames
+from dynaviz.contracts.scan import Scan
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.sensing import ScanRays, height_of
 from dynaviz.spatial import geometry
 
@@ -30,7 +30,7 @@ RIGID = (
 ABOVE_GROUND = 0.3  # metres; the ground stays below the sensor, too
 
 
-def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
+def estimate_carrier(sequence: Drive) -> tuple[tuple[int, int, int], ...]:
     """The cubes in the sensor frame that contain the same points wherever the sensor is
     (``Sensor.carrier``).
 
@@ -44,7 +44,7 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     Raises:
         DataError: for data that cannot be read.
     """
-    if is_exact(sequence) or len(sequence) < FEWEST:
+    if sequence.exact or len(sequence) < FEWEST:
         return ()
     last: Scan | None = None
     seen = list[F64]()  # of each scan: the middle of the points in each cube
@@ -73,14 +73,14 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     return tuple((x, y, z) for x, y, z in cubes[_begins_near(cubes)].tolist())
 
 
-def with_carrier(sequence: Sequence) -> Sequence:
+def with_carrier(sequence: Drive) -> Drive:
     """The sequence, with an estimate of what carries the sensor if that is unknown.
 
     See ``estimate_carrier``.
     """
     if sequence.sensor.carrier or not (carrier := estimate_carrier(sequence)):
         return sequence
-    return select_frames(sequence, sensor=replace(sequence.sensor, carrier=carrier))
+    return sequence.with_sensor(replace(sequence.sensor, carrier=carrier))
 
 
 def _begins_near(cubes: I64) -> Bool:

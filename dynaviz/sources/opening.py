@@ -7,44 +7,25 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from dynaviz.contracts.scan import Sequence, SequenceSlice, base_of, select_frames
-from dynaviz.contracts.sensors import Sensor, load_sensor
+from dynaviz.contracts.scan import Sequence
+from dynaviz.contracts.sensors import load_sensor
 from dynaviz.errors import NoPoses, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.drives import Drives
 from dynaviz.sources.datasets.in_memory import ArraySequence, with_given_poses, without_poses
 from dynaviz.sources.datasets.pose_matching import NO_POSES
-from dynaviz.sources.odometry.estimate import EstimatedPoses
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.odometry.estimated import DEFAULT, estimate_poses, is_odometry, with_estimated
-from dynaviz.sources.odometry.refine import RefinedSequence, refine, refined_before
+from dynaviz.sources.odometry.refine import refine, refined_before
 from dynaviz.sources.options import SequenceOptions
 from dynaviz.sources.origin import Origin
 
 Source = Sequence | str | os.PathLike[str] | Iterable[Any]
 """An open sequence, a path, paths of drives in one world frame, or scans as ``(points, pose)``."""
-
-
-_UNKNOWN = Origin()
-
-
-@dataclass(frozen=True)
-class OpenedSequence(SequenceSlice):
-    """A sequence that knows where it came from.
-
-    Attributes:
-        provenance: enough to open it again.
-        estimated: the poses that an odometry estimated; None for given poses.
-    """
-
-    provenance: Origin = _UNKNOWN
-    estimated: EstimatedPoses | None = None
 
 
 def open_source(
@@ -54,7 +35,7 @@ def open_source(
     folder: Path | None = None,
     estimate_missing: bool = False,
     progress: Progress = silent,
-) -> OpenedSequence:
+) -> Drive:
     """Open a path, a list of paths (drives in one world frame), or a list of ``(points, pose)``.
 
     Or select frames.
@@ -82,7 +63,7 @@ def open_source(
         options = dataclasses.replace(options, poses=None)
     odometry = options.poses if options.poses is not None and is_odometry(options.poses) else None
     own = dataclasses.replace(options, poses=None) if odometry else options
-    whole: Sequence | None = None
+    whole: Drive | None = None
     try:
         if odometry is None:
             whole = _read(source, places, own)
@@ -112,68 +93,15 @@ def open_source(
     origin = Origin(
         sources=tuple(places),
         absolute=tuple(map(absolute, places)),
-        format=type(base_of(opened)).__name__,
+        format=opened.reader.format,
         options=dataclasses.replace(_anchored(options), refine_poses=False),
         odometry=f"{estimated.odometry} {estimated.version}" if estimated else "",
         poses_file=_relative(estimated.file, folder) if estimated else "",
+        name=opened.name,
+        sensor=opened.sensor,
     )
-    found = OpenedSequence(
-        opened.whole, opened.positions, opened.sensor, opened.name, origin, estimated
-    )
-    return refined(found, folder, progress) if options.refine_poses else found
-
-
-def refined(sequence: Sequence, folder: Path | None, progress: Progress = silent) -> OpenedSequence:
-    """The sequence with refined poses, which are kept in the folder."""
-    better = refine(sequence, folder, progress)
-    return _known(better, sequence, msgspec.structs.replace(provenance(sequence), refined=True))
-
-
-def _known(found: Sequence, opened: Sequence, origin: Origin) -> OpenedSequence:
-    """All frames of a sequence, with the estimated poses of the opened one that it was made of."""
-    estimated = next(
-        (each.estimated for each in _layers(opened) if isinstance(each, OpenedSequence)), None
-    )
-    return OpenedSequence(found, range(len(found)), found.sensor, found.name, origin, estimated)
-
-
-def provenance(sequence: Sequence) -> Origin:
-    """Where a sequence came from, also if frames of it were selected, or its sensor or name
-    replaced, after opening.
-
-    A sequence that was not opened by dynaviz has an origin without sources.
-    """
-    positions = range(len(sequence))
-    origin = Origin(format=type(base_of(sequence)).__name__)
-    known = Sensor()
-    total = len(sequence)
-    for layer in _layers(sequence):
-        if isinstance(layer, OpenedSequence):
-            origin = layer.provenance
-            known = layer.sensor
-            total = len(layer)
-            if (inner := origin.positions) is not None:
-                positions = range(*inner)[positions.start : positions.stop : positions.step]
-                total = -1
-            break
-        if isinstance(layer, SequenceSlice):
-            positions = layer.positions[positions.start : positions.stop : positions.step]
-            total = len(layer.whole)
-    used = sequence.sensor
-    names = [each.name for each in dataclasses.fields(Sensor)]
-    changed = [
-        name for name in names if getattr(known, name) is None and getattr(used, name) is not None
-    ]
-    chosen = (
-        None if positions == range(total) else (positions.start, positions.stop, positions.step)
-    )
-    return msgspec.structs.replace(
-        origin,
-        positions=chosen,
-        name=sequence.name,
-        sensor=used,
-        estimated=(*origin.estimated, *changed),
-    )
+    found = dataclasses.replace(opened, provenance=origin, estimated=estimated)
+    return refine(found, folder, progress) if options.refine_poses else found
 
 
 def reopened(
@@ -181,7 +109,7 @@ def reopened(
     folder: Path | None = None,
     at: str | os.PathLike[str] | None = None,
     progress: Progress = silent,
-) -> OpenedSequence:
+) -> Drive:
     """Open the sequence of a run again: the same frames and poses, bit for bit.
 
     Args:
@@ -212,11 +140,11 @@ def reopened(
     else:
         opened = _selected(_read(source, places, origin.options), origin.options)
     chosen = range(len(opened)) if origin.positions is None else range(*origin.positions)
-    sensor = origin.sensor or opened.sensor
-    found: Sequence = SequenceSlice(opened, chosen, sensor, origin.name or opened.name)
+    found = opened.chosen(chosen).renamed(origin.name or opened.name)
+    found = dataclasses.replace(found, sensor=origin.sensor or opened.sensor)
     if origin.refined:
         found = (refined_before(found, folder) if folder else None) or refine(found, None, progress)
-    return OpenedSequence(found, range(len(found)), sensor, found.name, origin)
+    return dataclasses.replace(found, provenance=origin)
 
 
 def absolute(text: str, base: Path = Path()) -> str:
@@ -238,19 +166,15 @@ def absolute(text: str, base: Path = Path()) -> str:
 
 def _reselected(
     sequence: Sequence, options: SequenceOptions, folder: Path | None, progress: Progress
-) -> OpenedSequence:
+) -> Drive:
     """An open sequence with selected frames, another sensor, or refined poses."""
     names = ("poses", "points_in", "deskew", "extrinsic")
     if late := [name for name in names if getattr(options, name) is not None]:
         raise UsageError(
             f"{', '.join(late)}: the sequence is already open. Give this to dynaviz.open"
         )
-    chosen = _selected(sequence, options)
-    return (
-        refined(chosen, folder, progress)
-        if options.refine_poses
-        else _known(chosen, chosen, provenance(chosen))
-    )
+    chosen = _selected(Drive.of(sequence), options)
+    return refine(chosen, folder, progress) if options.refine_poses else chosen
 
 
 def _places(source: Source) -> list[str]:
@@ -266,23 +190,22 @@ def _places(source: Source) -> list[str]:
     return []
 
 
-def _read(source: Source, places: list[str], options: SequenceOptions) -> Sequence:
+def _read(source: Source, places: list[str], options: SequenceOptions) -> Drive:
     """All frames of a source."""
     if not places:
         assert not isinstance(source, str | os.PathLike | Sequence)
-        return ArraySequence.of(
+        arrays = ArraySequence.of(
             source, options.points_in, options.poses, options.extrinsic, options.deskew
         )
+        return Drive.of(arrays)
     drives = [open_sequence(place, poses=options.poses, **options.of_format) for place in places]
-    return drives[0] if len(drives) == 1 else Drives.of(drives)
+    return drives[0] if len(drives) == 1 else Drive.of(Drives.of(drives))
 
 
-def _selected(whole: Sequence, options: SequenceOptions) -> SequenceSlice:
+def _selected(whole: Drive, options: SequenceOptions) -> Drive:
     """The frames of the options, with their sensor."""
-    sensor = load_sensor(options.sensor) if options.sensor else whole.sensor
-    found = select_frames(whole, options.frames, options.stride, sensor)
-    assert isinstance(found, SequenceSlice)  # because a sensor is given
-    return found
+    chosen = whole.select(options.frames, options.stride)
+    return chosen.with_sensor(load_sensor(options.sensor)) if options.sensor else chosen
 
 
 def _anchored(options: SequenceOptions) -> SequenceOptions:
@@ -293,14 +216,6 @@ def _anchored(options: SequenceOptions) -> SequenceOptions:
         if (value := getattr(options, name)) is not None and Path(value).is_file()
     }
     return dataclasses.replace(options, **changed)
-
-
-def _layers(sequence: Sequence) -> Iterable[Sequence]:
-    """A sequence and the sequences below its selections and refined poses, outermost first."""
-    yield sequence
-    while isinstance(sequence, SequenceSlice | RefinedSequence):
-        sequence = sequence.whole
-        yield sequence
 
 
 def _relative(file: Path, folder: Path | None) -> str:

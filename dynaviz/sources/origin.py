@@ -2,11 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
 from msgspec import Struct
 
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import addressed
 from dynaviz.sources.options import SequenceOptions
+
+
+@dataclass(frozen=True)
+class EstimatedPoses:
+    """Poses that an odometry estimated, and how.
+
+    Attributes:
+        file: CSV file with a pose per line: number or stamp in nanoseconds, and the 3x4 matrix.
+        odometry: its name.
+        version: of its package.
+        frames: number of sweeps.
+        distance: metres travelled.
+        seconds: it took to estimate them.
+        deskewed: whether the times of points were used to compensate motion.
+        key: digest of the sequence and the odometry.
+        reused: whether they were estimated by an earlier run.
+    """
+
+    file: Path
+    odometry: str
+    version: str
+    frames: int
+    distance: float
+    seconds: float
+    deskewed: bool
+    key: str
+    reused: bool = False
+
+    def __str__(self) -> str:
+        times = f"{self.seconds:.0f} s" + (", estimated by an earlier run" if self.reused else "")
+        return (
+            f"{self.odometry} {self.version}: {self.distance:.1f} m in {self.frames:,} sweeps "
+            f"({times})"
+        )
 
 
 class PoseNoise(Struct, frozen=True):

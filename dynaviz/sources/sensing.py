@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import F64, Intp
-from dynaviz.contracts.attributes import attributes_of
-from dynaviz.contracts.scan import Scan, Sequence, select_frames
+from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError, addressed
+from dynaviz.sources.drive import Drive
 from dynaviz.spatial.motion import smoothed
 from dynaviz.spatial.sensor_height import sensor_height
 from dynaviz.spatial.trajectory import Trajectory
@@ -103,7 +103,7 @@ def _lidars(starts: F64) -> Intp:
     return np.zeros(len(starts), np.intp)
 
 
-def estimate_sensor(sequence: Sequence) -> Sensor:
+def estimate_sensor(sequence: Drive) -> Sensor:
     """Estimate the facts of the sensor of a sequence from a few of its scans.
 
     None where they do not show.
@@ -146,7 +146,7 @@ def estimate_sensor(sequence: Sequence) -> Sensor:
     )
 
 
-def _path(sequence: Sequence, position: int, scan: Scan) -> Trajectory | None:
+def _path(sequence: Drive, position: int, scan: Scan) -> Trajectory | None:
     """Poses from the scan before to the one after; None if points have no times."""
     if scan.times is None or not len(scan) or not np.ptp(np.nan_to_num(scan.times)):
         return None
@@ -180,8 +180,8 @@ def sentence(sensor: Sensor) -> str:
 
 
 def with_needed_facts(
-    begin: Callable[[Scan, Sensor], Any], sequence: Sequence, uses: tuple[str, ...] = ()
-) -> Sequence:
+    begin: Callable[[Scan, Sensor], Any], sequence: Drive, uses: tuple[str, ...] = ()
+) -> Drive:
     """The sequence with a sensor that a method can begin with, before the sequence is read.
 
     Args:
@@ -216,12 +216,12 @@ def with_needed_facts(
     warnings.warn(
         addressed(f"{text}. Give the true values with --sensor NAME or FILE.toml"), stacklevel=3
     )
-    return select_frames(sequence, sensor=estimated)
+    return sequence.with_sensor(estimated)
 
 
-def _rows(sequence: Sequence, positions: list[int], rays: list[ScanRays]) -> int | None:
+def _rows(sequence: Drive, positions: list[int], rays: list[ScanRays]) -> int | None:
     """Number of rows; None for a sensor without rows, or if they do not show."""
-    attributes = [attributes_of(sequence, k) for k in positions]
+    attributes = [sequence.attributes(k) for k in positions]
     name = next((name for name in RINGS if all(name in each for each in attributes)), None)
     if any(each.lidars.any() for each in rays) and (rows := _agreed(rays)):
         return rows
@@ -322,7 +322,7 @@ def _azimuth(azimuths: F64) -> tuple[float, float]:
     return float(start), float(end)
 
 
-def _rate(sequence: Sequence, positions: list[int]) -> float | None:
+def _rate(sequence: Drive, positions: list[int]) -> float | None:
     """Scans per second, from the stamps of neighbouring scans."""
     steps = []
     for k in positions:

@@ -5,10 +5,9 @@ Each point is transformed by the pose at its own time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,19 +43,6 @@ class PosesOverTime(Protocol):
 
     def at(self, times: ArrayLike) -> F64:
         """(N, 4, 4) float64, metres: the poses at (N,) int64 nanoseconds."""
-        ...
-
-
-@runtime_checkable
-class HasTrajectories(Protocol):
-    """A sequence that knows the poses of its sensors at any time."""
-
-    @property
-    def trajectories(self) -> Mapping[int, PosesOverTime]:
-        """T_world_sensor over time of each lidar by its number, in the world frame of the scans.
-
-        0 for a single one.
-        """
         ...
 
 

@@ -31,6 +31,7 @@ from dynaviz.explorer.cards import cards
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.io.fields import read_points
 from dynaviz.sources.datasets.drives import Drives
+from dynaviz.sources.drive import Drive
 from dynaviz.testing import InMemory
 
 SMALL, WALL = np.array([0.5, 0.5, 0.7]), np.array([0.2, 1.2, 1.2])  # half edges, metres
@@ -167,9 +168,8 @@ def test_changes_need_two_drives(
 
 def test_the_second_drive_begins_where_the_first_one_ends() -> None:
     scans = drive("monday").scans
-    drives = Drives.of(
-        [InMemory(scans[:3], "monday", SENSOR), InMemory(scans[3:], "tuesday", SENSOR)]
-    )
+    parts = [InMemory(scans[:3], "monday", SENSOR), InMemory(scans[3:], "tuesday", SENSOR)]
+    drives = Drive.of(Drives.of(parts))
     assert [len(Pair.of(drives).alone(which, drives)) for which in (0, 1)] == [3, FRAMES - 3]
     assert Pair.of(dv.open(drives, stride=2)).first == 2
 
@@ -207,7 +207,8 @@ class Shifted(InMemory):
 def test_changes_far_from_the_origin_are_listed_in_the_coordinates_of_the_source(
     cleaned: Any, both: Drives, tmp_path: Path
 ) -> None:
-    far = Drives.of([Shifted(each.scans, each.name, each.sensor) for each in both.parts])  # type: ignore[attr-defined]
+    parts = [each.reader for each in both.parts]
+    far = Drives.of([Shifted(each.scans, each.name, each.sensor) for each in parts])  # type: ignore[attr-defined]
     found = dv.clean(far, tmp_path / "clean.pcd", changed=True)
     assert found.changes.clusters == cleaned.changes.clusters  # in the frame of the recording
     here, there = (listed(each.folder / "summary.md") for each in (cleaned, found))

@@ -12,6 +12,7 @@ from types import ModuleType
 import pytest
 
 from dynaviz.diagnosis import doctor, quick_check
+from dynaviz.sources.drive import Drive
 from dynaviz.spatial import geometry
 from dynaviz.testing.world import crossing
 
@@ -50,5 +51,5 @@ def test_advice_that_is_followed_leads_to_no_findings(
     sequence = wrong.open(tmp_path)
     found = doctor(sequence)
     assert [finding.name for finding in found.findings] == [name], found
-    assert [finding.name for finding in quick_check(sequence)] == [name]
+    assert [finding.name for finding in quick_check(Drive.of(sequence))] == [name]
     assert doctor(faults.followed(wrong, found.findings[0]).open(tmp_path)).ok

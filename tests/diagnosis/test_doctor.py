@@ -24,6 +24,7 @@ from dynaviz.contracts.sensors import Sensor
 from dynaviz.diagnosis import Confidence, Diagnosis, doctor, quick_check
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import read_pcd, write_pcd
+from dynaviz.sources.drive import Drive
 from dynaviz.synthetic.simulate import simulate
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing
@@ -164,7 +165,9 @@ def test_doctor_and_quick_check_name_wrong_poses_units_and_frames(kind: str) -> 
     elif expected not in UNITS:
         certain = kind.endswith("points placed")
         assert finding.confidence is (Confidence.CERTAIN if certain else Confidence.LIKELY)
-    assert [each.name for each in quick_check(InMemory(scans, "crossing", SENSOR))] == [expected]
+    assert [each.name for each in quick_check(Drive.of(InMemory(scans, "crossing", SENSOR)))] == [
+        expected
+    ]
 
 
 def test_a_stationary_sensor_has_no_findings() -> None:

@@ -17,6 +17,7 @@ from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis import Confidence, doctor, quick_check
 from dynaviz.diagnosis.finding import Finding
+from dynaviz.sources.drive import Drive
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing, moved, turn
 
@@ -99,14 +100,14 @@ def test_noise_of_poses_is_no_drift() -> None:
 
 def test_quick_check_names_a_drift() -> None:
     scans = [moved(scan, lifted(0.5 * ramp(k, 0, FRAMES))) for k, scan in enumerate(SCANS)]
-    assert [finding.name for finding in quick_check(InMemory(scans, "drive", SENSOR))] == [
-        "poses drift"
-    ]
-    assert quick_check(InMemory(SCANS, "drive", SENSOR)) == ()
+    assert [
+        finding.name for finding in quick_check(Drive.of(InMemory(scans, "drive", SENSOR)))
+    ] == ["poses drift"]
+    assert quick_check(Drive.of(InMemory(SCANS, "drive", SENSOR))) == ()
 
 
 def test_a_real_drive_with_poses_of_gps(real_data: Path) -> None:
     drive = dv.open(real_data / "kitti_tracking/training/velodyne/0011")
-    assert [finding.name for finding in quick_check(drive)] == ["poses drift"]
+    assert [finding.name for finding in quick_check(Drive.of(drive))] == ["poses drift"]
     standing = dv.open(real_data / "kitti_tracking/training/velodyne/0012")
-    assert quick_check(standing) == ()
+    assert quick_check(Drive.of(standing)) == ()

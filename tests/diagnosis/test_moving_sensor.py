@@ -17,6 +17,7 @@ import dynaviz as dv
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis import Confidence, doctor, quick_check
+from dynaviz.sources.drive import Drive
 from dynaviz.spatial import geometry
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing, moved
@@ -137,7 +138,7 @@ def test_wrong_poses_of_a_sensor_that_moves_during_the_sweep(name: str, drive: l
         for T in [FAULTS[name](s.T_world_sensor)]
     ]
     assert names(wrong)[:1] == [name]
-    assert quick_check(InMemory(wrong, "moving", SENSOR))[0].name == name
+    assert quick_check(Drive.of(InMemory(wrong, "moving", SENSOR)))[0].name == name
     only = [placed(s, s.points.astype(np.float64), FAULTS[name](s.T_world_sensor)) for s in drive]
     assert names(only)[:1] == [name]
 
@@ -155,7 +156,7 @@ def test_jitter_of_a_slow_sensor_does_not_look_like_points_in_another_frame() ->
 
 
 def test_quick_check_of_a_correct_sequence() -> None:
-    assert quick_check(InMemory(SCANS, "moving", SENSOR)) == ()
+    assert quick_check(Drive.of(InMemory(SCANS, "moving", SENSOR))) == ()
 
 
 def test_a_run_without_ground_truth_warns_of_wrong_poses() -> None:

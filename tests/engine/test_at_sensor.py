@@ -18,6 +18,7 @@ from dynaviz.contracts.method import AT_SENSOR
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.diagnosis import quick_check
 from dynaviz.sources.carrier import estimate_carrier
+from dynaviz.sources.drive import Drive
 from dynaviz.spatial import geometry
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing
@@ -37,8 +38,8 @@ def with_points(scan: Scan, local: F64) -> Scan:
 
 def test_what_moves_with_the_sensor_is_its_carrier() -> None:
     driven = InMemory([with_points(scan, ROOF) for scan in SCANS])
-    assert estimate_carrier(InMemory(SCANS)) == ()
-    carrier = estimate_carrier(driven)
+    assert estimate_carrier(Drive.of(InMemory(SCANS))) == ()
+    carrier = estimate_carrier(Drive.of(driven))
     assert set(carrier) == {tuple(cube) for cube in np.floor(ROOF / 0.2).astype(int).tolist()}
     found = AtSensor(dataclasses.replace(SENSOR, carrier=carrier)).found(driven[5])
     assert found[-len(ROOF) :].all()
@@ -47,7 +48,7 @@ def test_what_moves_with_the_sensor_is_its_carrier() -> None:
 
 def test_a_standing_sensor_has_no_carrier() -> None:
     still = [dataclasses.replace(with_points(SCANS[0], ROOF), index=k) for k in range(16)]
-    assert estimate_carrier(InMemory(still)) == ()
+    assert estimate_carrier(Drive.of(InMemory(still))) == ()
 
 
 def test_who_keeps_step_with_the_sensor_is_no_carrier(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,9 +60,9 @@ def test_who_keeps_step_with_the_sensor_is_no_carrier(monkeypatch: pytest.Monkey
         with_points(scan, body + np.array([step, 0, 0]))
         for scan, step in zip(SCANS, steps, strict=True)
     ]
-    assert estimate_carrier(InMemory(followed)) == ()
+    assert estimate_carrier(Drive.of(InMemory(followed))) == ()
     monkeypatch.setattr("dynaviz.sources.carrier.RIGID", np.inf)
-    assert estimate_carrier(InMemory(followed)) != ()
+    assert estimate_carrier(Drive.of(InMemory(followed))) != ()
 
 
 def test_points_at_the_sensor_change_no_other_label(tmp_path: Path) -> None:
@@ -94,7 +95,7 @@ def test_every_method_has_the_reason() -> None:
 @pytest.mark.slow
 def test_a_car_that_sees_itself(real_data: Path) -> None:
     drive = dv.open(real_data / "nuscenes")
-    assert estimate_carrier(drive)
+    assert estimate_carrier(Drive.of(drive))
     result = dv.run("dufomap", drive, record="none")
     assert result.metrics["DA"] > 40
     assert result.sequence.at_sensor > 100_000
@@ -116,15 +117,15 @@ class Exact(InMemory):
 
 def test_only_a_sequence_that_states_exact_poses_is_not_examined() -> None:
     driven = [with_points(scan, ROOF) for scan in SCANS]
-    carrier = estimate_carrier(InMemory(driven))
+    carrier = estimate_carrier(Drive.of(InMemory(driven)))
     assert carrier
-    assert estimate_carrier(Nested(driven)) == carrier
-    assert estimate_carrier(Exact(driven)) == ()
+    assert estimate_carrier(Drive.of(Nested(driven))) == carrier
+    assert estimate_carrier(Drive.of(Exact(driven))) == ()
     twice = [
         dataclasses.replace(scan, points=geometry.transform(scan.T_world_sensor, scan.points))
         for scan in crossing()
     ]
-    found = quick_check(InMemory(twice))
+    found = quick_check(Drive.of(InMemory(twice)))
     assert found
-    assert quick_check(Nested(twice)) == found
-    assert quick_check(Exact(twice)) == ()
+    assert quick_check(Drive.of(Nested(twice))) == found
+    assert quick_check(Drive.of(Exact(twice))) == ()

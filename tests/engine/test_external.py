@@ -17,10 +17,11 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 import dynaviz as dv
-from dynaviz.contracts.scan import Scan, select_frames
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pcd import read_pcd, write_pcd
 from dynaviz.scores.sections import Runtime
+from dynaviz.sources.drive import Drive
 
 
 def save(path: Path, points: np.ndarray) -> Path:
@@ -120,7 +121,7 @@ def test_labels_of_a_run_are_scored_as_the_run(little_room: InMemory, tmp_path: 
 
 def test_labels_of_another_sequence_are_rejected(little_room: InMemory, tmp_path: Path) -> None:
     dv.run("octomap", little_room, out=tmp_path, record="none")
-    for other in (select_frames(little_room, "1:"), room(seed=1)):
+    for other in (Drive.of(little_room).select("1:"), room(seed=1)):
         with pytest.raises(
             DataError, match=r"labels\.npz: is from a different sequence.*the same frames"
         ):

@@ -12,11 +12,12 @@ import pytest
 from helpers.worlds import InMemory, room
 
 import dynaviz as dv
-from dynaviz.contracts.scan import Scan, select_frames
+from dynaviz.contracts.scan import Scan
 from dynaviz.engine.external import default_name
 from dynaviz.errors import DataError, UsageError
 from dynaviz.runs.export import export_labels
 from dynaviz.scores.result import Result
+from dynaviz.sources.drive import Drive
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +160,7 @@ def test_folders_as_programs_write_them(
     files = tmp_path / "mapmos/bin/sequences/08/predictions"
     (files / "poses.npy").write_bytes(b"not a label file")
     (files / "000099.label").write_bytes(b"of a frame that is not used")
-    assert dv.score(files, select_frames(sequence, "1:4")).counts["unlabelled"] == 0
+    assert dv.score(files, Drive.of(sequence).select("1:4")).counts["unlabelled"] == 0
 
 
 def remove_all(folder: Path) -> None:

@@ -20,7 +20,7 @@ import pytest
 
 from dynaviz import kernels
 from dynaviz.contracts import registry
-from dynaviz.contracts.scan import Sequence, select_frames
+from dynaviz.contracts.scan import Sequence
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.synthetic.simulate.write import simulate
@@ -41,7 +41,7 @@ METHODS = [
 def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Sequence:
     folder = tmp_path_factory.mktemp("scenes") / request.param
     frames, stride = SCENES[request.param]
-    return select_frames(open_sequence(str(simulate(request.param, folder, frames))), stride=stride)
+    return open_sequence(str(simulate(request.param, folder, frames))).select(stride=stride)
 
 
 def counts(name: str, sequence: Sequence, threads: int) -> tuple[str, list[int]]:

@@ -19,36 +19,14 @@ from hypothesis import strategies as st
 
 import dynaviz as dv
 from dynaviz.arrays import F64, I64
-from dynaviz.contracts.attributes import (
-    Attributes,
-    Unposed,
-    attributes_of,
-    coordinates_of,
-    exact_points,
-    facts_of,
-    is_exact,
-    las_file_of,
-    origin_of,
-    scan_file_of,
-    trajectories_of,
-    unposed_of,
-)
-from dynaviz.contracts.scan import (
-    Label,
-    Scan,
-    Sequence,
-    SequenceSlice,
-    WithoutTruth,
-    select_frames,
-)
+from dynaviz.contracts.attributes import Attributes, Unposed
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.diagnosis import frame_groups
-from dynaviz.runs.execution import _OneReader
 from dynaviz.runs.tiles.tile import TileFrames
 from dynaviz.sources.datasets.drives import Drives
 from dynaviz.sources.datasets.lidars import Lidars
-from dynaviz.sources.odometry.refine import RefinedSequence
-from dynaviz.sources.odometry.reposed import ReposedSequence
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.origin import PoseRefinement
 from dynaviz.spatial.trajectory import Moved, PosesOverTime, Trajectory
 from dynaviz.synthetic.implants.implant_scene import ImplantScene
@@ -172,14 +150,14 @@ class Expected:
     believed: bool = False  # poses and sensor are neither estimated nor checked
 
 
-State = tuple[Sequence, Expected]
+State = tuple[Drive, Expected]
 
 
 def surveyed(name: str = "monday", seed: int = 0) -> State:
     origin = PLACE + np.array([1000.0 * seed, 0, 0])
     source = Survey(name, seed, origin)
     frames = tuple(Frame(source, row) for row in range(FRAMES))
-    return source, Expected(frames, source.sensor, np.zeros(3))
+    return Drive.of(source), Expected(frames, source.sensor, np.zeros(3))
 
 
 def sliced(state: State, draw: Callable[[Any], Any]) -> State:
@@ -189,21 +167,20 @@ def sliced(state: State, draw: Callable[[Any], Any]) -> State:
     frames = expected.frames[first::stride]
     unposed = expected.unposed if len(frames) == len(expected.frames) else 0
     kept = dataclasses.replace(expected, frames=frames, unposed=unposed)
-    return select_frames(sequence, f"{first}:", stride), kept
+    return sequence.select(f"{first}:", stride), kept
 
 
 def other_sensor(state: State, draw: Callable[[Any], Any]) -> State:
     sensor = Sensor(name="other", rings=16)
-    return select_frames(state[0], sensor=sensor), dataclasses.replace(state[1], sensor=sensor)
+    return state[0].with_sensor(sensor), dataclasses.replace(state[1], sensor=sensor)
 
 
 def renamed(state: State, draw: Callable[[Any], Any]) -> State:
-    sequence, expected = state
-    return SequenceSlice(sequence, range(len(sequence)), sequence.sensor, "renamed"), expected
+    return state[0].renamed("renamed"), state[1]
 
 
 def blind(state: State, draw: Callable[[Any], Any]) -> State:
-    return WithoutTruth(state[0]), dataclasses.replace(state[1], labels=False)
+    return state[0].blind(), dataclasses.replace(state[1], labels=False)
 
 
 def opened(state: State, draw: Callable[[Any], Any]) -> State:
@@ -211,9 +188,14 @@ def opened(state: State, draw: Callable[[Any], Any]) -> State:
 
 
 def read_by_one(state: State, draw: Callable[[Any], Any]) -> State:
+    return state[0].for_threads(), state[1]
+
+
+def moved(state: State, draw: Callable[[Any], Any]) -> State:
+    """In a world frame with another origin: the place in the source is the same."""
     sequence, expected = state
-    one = _OneReader(sequence, range(len(sequence)), sequence.sensor, sequence.name)
-    return one, expected
+    assume(expected.placed)
+    return sequence.at(sequence.origin + np.array([512.0, -1024.0, 0.0])), expected
 
 
 def few_points(state: State, draw: Callable[[Any], Any]) -> State:
@@ -224,12 +206,12 @@ def few_points(state: State, draw: Callable[[Any], Any]) -> State:
         return dataclasses.replace(frame, step=frame.step * -(-left // FEW))
 
     frames = tuple(map(thinned, expected.frames))
-    return frame_groups.FewPoints(sequence, {}), dataclasses.replace(
+    return Drive.of(frame_groups.FewPoints(sequence, {})), dataclasses.replace(
         expected, frames=frames, labels=False
     )
 
 
-def displaced(sequence: Sequence, offset: F64) -> F64:
+def displaced(sequence: Drive, offset: F64) -> F64:
     poses = np.array([sequence[k].T_world_sensor for k in range(len(sequence))])
     poses[:, :3, 3] += offset
     return poses
@@ -243,8 +225,8 @@ def estimated_poses(state: State, draw: Callable[[Any], Any]) -> State:
     """Poses in a world frame of their own, near its origin."""
     sequence, expected = state
     assume(expected.placed)
-    poses = displaced(sequence, origin_of(sequence) - NEARER)
-    return ReposedSequence(sequence, poses), dataclasses.replace(
+    poses = displaced(sequence, sequence.origin - NEARER)
+    return sequence.with_poses(poses), dataclasses.replace(
         expected,
         frames=inexact(expected),
         shift=expected.shift - NEARER,
@@ -258,7 +240,7 @@ def refined_poses(state: State, draw: Callable[[Any], Any]) -> State:
     """Poses that differ by a little, in the same world frame."""
     sequence, expected = state
     offset = np.array([0.25, 0.0, 0.5])
-    found = RefinedSequence(sequence, displaced(sequence, offset), PoseRefinement(0, 0, 0, 0))
+    found = sequence.with_refined(displaced(sequence, offset), PoseRefinement(0, 0, 0, 0))
     return found, dataclasses.replace(
         expected,
         frames=inexact(expected),
@@ -272,7 +254,8 @@ def after_another(state: State, draw: Callable[[Any], Any]) -> State:
     sequence, expected = state
     assume(expected.placed and not expected.shift.any())
     other, more = surveyed("tuesday", 1)
-    return Drives.of([select_frames(sequence, sensor=other.sensor), other]), Expected(
+    drives = Drives.of([sequence.with_sensor(other.sensor), other])
+    return Drive.of(drives), Expected(
         expected.frames + more.frames,
         other.sensor,
         np.zeros(3),
@@ -289,7 +272,7 @@ def beside_another(state: State, draw: Callable[[Any], Any]) -> State:
     other, more = surveyed("rear", 2)
     order = [(0, k) for k in range(len(sequence))] + [(1, k) for k in range(FRAMES)]
     both = Lidars((sequence, other), ("front", "rear"), np.array(order[::-1]))
-    return both, dataclasses.replace(
+    return Drive.of(both), dataclasses.replace(
         expected,
         frames=(expected.frames + more.frames)[::-1],
         labels=True,
@@ -307,7 +290,8 @@ def seen_by_a_tile(state: State, draw: Callable[[Any], Any]) -> State:
     numbers = np.array([sequence[k].index for k in rows])
     with_truth = draw(st.booleans())
     tile = TileFrames(sequence, rows, numbers, places, offset, with_truth)
-    return tile, dataclasses.replace(expected, labels=expected.labels and with_truth, unposed=0)
+    labels = expected.labels and with_truth
+    return Drive.of(tile), dataclasses.replace(expected, labels=labels, unposed=0)
 
 
 def with_implants(state: State, draw: Callable[[Any], Any]) -> State:
@@ -318,11 +302,11 @@ def with_implants(state: State, draw: Callable[[Any], Any]) -> State:
         dataclasses.replace(frame, attributes=False, exact=False) for frame in expected.frames
     )
     found = ImplantedSequence(sequence, scene, lidar, "implanted")
-    return found, dataclasses.replace(expected, frames=frames, labels=True, believed=True)
+    return Drive.of(found), dataclasses.replace(expected, frames=frames, labels=True, believed=True)
 
 
 LAYERS = (
-    sliced, other_sensor, renamed, blind, opened, read_by_one, few_points, estimated_poses,
+    sliced, other_sensor, renamed, blind, opened, read_by_one, moved, few_points, estimated_poses,
     refined_poses, after_another, beside_another, seen_by_a_tile, with_implants,
 )  # fmt: skip
 
@@ -354,14 +338,14 @@ def test_each_layer_passes_on_what_the_source_knows(
     check(*layer(surveyed(), data.draw))
 
 
-def check(sequence: Sequence, expected: Expected) -> None:
+def check(sequence: Drive, expected: Expected) -> None:
     """Compare a sequence with its model, in the coordinates of the source."""
     assert len(sequence) == len(expected.frames)
     assert sequence.has_labels == expected.labels
     assert sequence.sensor == expected.sensor
-    assert is_exact(sequence) == expected.believed
-    origin = origin_of(sequence)
-    trajectories = trajectories_of(sequence)
+    assert sequence.exact == expected.believed
+    origin = sequence.origin
+    trajectories = sequence.trajectories
     for position, frame in enumerate(expected.frames):
         scan = sequence[position]
         source = frame.source
@@ -373,26 +357,26 @@ def check(sequence: Sequence, expected: Expected) -> None:
         place = source.pose(frame.row)[:3, 3] + expected.shift
         np.testing.assert_allclose(scan.position + origin, place, atol=1e-6)
         np.testing.assert_allclose(scan.origins[0] + origin, place, atol=1e-6)
-        attributes = attributes_of(sequence, position)
+        attributes = sequence.attributes(position)
         if frame.attributes:
             known = source.attributes(frame.row)["number"][:: frame.step]
             np.testing.assert_array_equal(attributes["number"], known)
         assert all(len(each) == len(scan) for each in attributes.values())
-        exact = exact_points(sequence, position, scan)
+        exact = sequence.exact_points(position, scan)
         if frame.exact:
-            np.testing.assert_array_equal(coordinates_of(sequence, position), xyz)
+            np.testing.assert_array_equal(sequence.coordinates(position), xyz)
             np.testing.assert_array_equal(exact, xyz)
         np.testing.assert_allclose(exact, xyz, atol=ROUNDING)
         if not expected.numbered or position == scan.index:
             file = Path(f"{source.name}/{source.number(frame.row)}.laz")
-            assert scan_file_of(sequence, number) == file
+            assert sequence.scan_file(number) == file
         if expected.trajectories and len(trajectories) == 1:
             at = trajectories[0].at([int(source.stamps[frame.row])])[0]
             np.testing.assert_allclose(at[:3, 3] + origin, place, atol=1e-6)
     assert bool(trajectories) == expected.trajectories
-    assert (las_file_of(sequence) is not None) == expected.placed
-    assert (facts_of(sequence).get("lasers") == "8") == expected.facts
-    pieces = list(unposed_of(sequence))
+    assert (sequence.las_file is not None) == expected.placed
+    assert (sequence.facts.get("lasers") == "8") == expected.facts
+    pieces = list(sequence.unposed())
     assert sum(each.number for each in pieces) == expected.unposed
     for each in pieces:
         assert (each.xyz is not None) == expected.placed

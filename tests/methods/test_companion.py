@@ -11,6 +11,7 @@ import dynaviz as dv
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import load_sensor
 from dynaviz.sources.carrier import estimate_carrier
+from dynaviz.sources.drive import Drive
 from dynaviz.synthetic.simulate import PRESETS, objects
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.presets import Preset
@@ -80,7 +81,7 @@ def test_a_car_that_comes_along_is_no_carrier(
     ahead: float, left: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drive, car = with_car(ahead, left)
-    assert estimate_carrier(drive) == ()
+    assert estimate_carrier(Drive.of(drive)) == ()
     result = dv.run("seethrough", drive)
     rows = [scan.instances == car for scan in drive.scans]
     removed = sum(int((result.labels[k] & row).sum()) for k, row in enumerate(rows))
@@ -89,4 +90,4 @@ def test_a_car_that_comes_along_is_no_carrier(
     assert removed > 0.9 * total
     if left:  # it would be one if parts of a carrier were allowed to begin anywhere
         monkeypatch.setattr("dynaviz.sources.carrier.NEAR", np.inf)
-        assert estimate_carrier(drive) != ()
+        assert estimate_carrier(Drive.of(drive)) != ()

@@ -22,6 +22,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.online.player import PlayReport, play
 from dynaviz.runs.playback import play_live
+from dynaviz.sources.drive import Drive
 from dynaviz.testing.world import InMemory, crossing
 
 
@@ -123,7 +124,7 @@ def test_a_report_without_scans_has_no_latencies() -> None:
 )
 def test_invalid_options_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        play_live(InMemory(crossing(1)), "dufomap", **options)
+        play_live(Drive.of(InMemory(crossing(1))), "dufomap", **options)
 
 
 def test_without_a_screen_a_browser_is_suggested(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,7 +133,7 @@ def test_without_a_screen_a_browser_is_suggested(monkeypatch: pytest.MonkeyPatch
         UsageError,
         match=r"--view: there is no screen to open a viewer on\. Use --serve for a browser",
     ):
-        play_live(InMemory(crossing(1)), "octomap", view=True)
+        play_live(Drive.of(InMemory(crossing(1))), "octomap", view=True)
 
 
 def test_a_drive_is_played_and_its_last_minutes_are_recorded(
@@ -145,7 +146,7 @@ def test_a_drive_is_played_and_its_last_minutes_are_recorded(
     monkeypatch.setattr(recording, "SEGMENT", 0.0)  # a file per scan
     monkeypatch.setattr(recording, "STATES_EVERY", 0.0)
     monkeypatch.setattr(recording.LiveRecording, "_room", lambda self: 3)
-    sequence = InMemory(crossing(5))
+    sequence = Drive.of(InMemory(crossing(5)))
     report = play_live(sequence, "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=0.01)
     files = sorted((tmp_path / "live").glob("*.rrd"))
     assert [path.stem for path in files] == ["live-000002", "live-000003", "live-000004"]
@@ -196,7 +197,9 @@ def test_a_stopped_session_reports_what_was_played(
     said: list[str] = []
     monkeypatch.setattr("dynaviz.runs.playback.play", stopped)
     with pytest.raises(stop):
-        play_live(InMemory(crossing(2)), "octomap", rate=0, reach=20, announce=said.append)
+        play_live(
+            Drive.of(InMemory(crossing(2))), "octomap", rate=0, reach=20, announce=said.append
+        )
     assert "1 of 1 scans labelled" in said[-1]
 
 
@@ -226,7 +229,7 @@ def test_the_page_is_served_until_the_report_is_given(monkeypatch: pytest.Monkey
         if not viewer.listens(port) and not viewer.listens(port + 1)
     )
     monkeypatch.setattr(viewer, "has_screen", lambda: False)
-    scans_, options = InMemory(crossing(2)), {"rate": 0, "serve": True, "port": page}
+    scans_, options = Drive.of(InMemory(crossing(2))), {"rate": 0, "serve": True, "port": page}
     play_live(scans_, "octomap", **options, announce=announced.append, finished=finished)
     assert announced[0].startswith(
         f"Watch it in a browser on this machine at http://127.0.0.1:{page}/?theme=dark&url="
@@ -249,7 +252,12 @@ def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
     from dynaviz.views.read.shot import shot
 
     play_live(
-        InMemory(crossing(5)), "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=1.0
+        Drive.of(InMemory(crossing(5))),
+        "dufomap",
+        rate=0,
+        reach=100,
+        out=tmp_path / "live",
+        minutes=1.0,
     )
     whole = tmp_path / "live" / "live-000000.rrd"
     assert (AnyRecording(whole).kind, AnyRecording(whole).span) == ("live", range(5))

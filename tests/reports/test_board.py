@@ -20,13 +20,14 @@ from helpers.worlds import InMemory, room
 
 from dynaviz.contracts import registry
 from dynaviz.contracts.protocol import ProtocolScores
-from dynaviz.contracts.scan import Sequence, select_frames
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError
 from dynaviz.reports.board.entries import read_board
 from dynaviz.reports.board.write import write_board
 from dynaviz.reports.reporting import Study
 from dynaviz.scores.collect import collect
 from dynaviz.scores.result import Result
+from dynaviz.sources.drive import Drive
 
 PROTOCOLS = {handle.name for handle in registry.handles("protocols")}
 
@@ -39,7 +40,7 @@ def hall() -> InMemory:
 @pytest.fixture
 def folder(tmp_path: Path, hall: InMemory) -> Path:
     """Two runs: of all frames, and of the last two."""
-    for name, sequence in (("whole", hall), ("end", select_frames(hall, "1:"))):
+    for name, sequence in (("whole", hall), ("end", Drive.of(hall).select("1:"))):
         guess(sequence, tmp_path / name)
     return tmp_path
 

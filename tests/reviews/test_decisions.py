@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from helpers.worlds import room
 
-from dynaviz.contracts.scan import Label, Scan, SequenceSlice
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.reviews.applying import NONE, Applied, seen_in
 from dynaviz.reviews.decisions import Decisions, ReviewDecision, Undo
@@ -33,6 +33,7 @@ from dynaviz.reviews.regions import (
     unpacked_cells,
 )
 from dynaviz.sources.datasets.in_memory import ArraySequence
+from dynaviz.sources.drive import Drive
 
 BOX = BoxRegion((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 
@@ -271,19 +272,19 @@ def test_truth_follows_decisions_and_unlabelled_points_stay_so() -> None:
 
 
 def test_decisions_of_another_world_or_another_drive(tmp_path: Path) -> None:
-    here = room(frames=5, rays=50)
+    here = Drive.of(room(frames=5, rays=50))
     decisions = Decisions(tmp_path)
     piece = Piece(here[2].index, (-50.0, -50.0, -50.0), (50.0, 50.0, 50.0))
     seen = seen_in(here, 2)
     decisions.add(ReviewDecision("static", ObjectRegion("frame", (piece,)), seen=seen))
     assert (Applied.to(here, decisions).verdicts(here[2]) == 0).all()
-    later = SequenceSlice(here, range(2, 5), here.sensor, here.name)
+    later = here.select("2:5")
     assert (Applied.to(later, decisions).verdicts(later[0]) == 0).all()
-    away = Away(here)
+    away = Drive.of(Away(here))
     with pytest.raises(DataError, match=r"another world frame .* 30\.0 m away") as caught:
         Applied.to(away, decisions)
     assert "\n" not in str(caught.value)
-    other = SequenceSlice(away, range(5), here.sensor, "another")
+    other = away.renamed("another")
     applied = Applied.to(other, decisions)
     applied.answers(other[2], np.zeros(len(other[2]), np.bool_))
     assert len(applied.by_hand.unmatched) == 1  # frame 2 of another drive
@@ -329,7 +330,7 @@ def test_world_coordinates_survive_a_far_origin() -> None:
     pose = np.eye(4)
     pose[:3, 3] = far
     points = random_points(11, 500)
-    sequence = ArraySequence.of([(points, pose)])
+    sequence = Drive.of(ArraySequence.of([(points, pose)]))
     region = BoxRegion(tuple((far - 1).tolist()), tuple((far + 1).tolist()))
     applied = Applied([ReviewDecision("static", region)], sequence.origin)
     assert ((applied.verdicts(sequence[0]) == 0) == (np.abs(points) <= 1).all(1)).mean() > 0.999

@@ -23,6 +23,7 @@ from dynaviz.runs.tiles.grid import TileGrid, packed, unpacked
 from dynaviz.runs.tiles.index import SequenceIndex
 from dynaviz.runs.tiles.tile import CYCLE, NEAR, TileFrames, TileTask
 from dynaviz.sources.datasets.drives import OBJECTS, Drives
+from dynaviz.sources.drive import Drive
 from dynaviz.tasks.local import WorkerProcesses
 from dynaviz.testing import InMemory
 from dynaviz.views.read.reader import AnyRecording, RunRecording
@@ -408,7 +409,7 @@ def test_gaps_keep_every_nth_frame_in_step(long_room: InMemory) -> None:
         SequenceIndex.of(long_room, SIZE), numbers=np.arange(n), positions=np.zeros((n, 3))
     )
     wanted = np.array([7, 8, 8 + 2 * CYCLE - 1, 9 * CYCLE + 3])
-    frames = TileFrames.of(long_room, index, wanted, np.zeros(3))
+    frames = TileFrames.of(Drive.of(long_room), index, wanted, np.zeros(3))
     at = np.flatnonzero(frames.rows >= 0)
     assert frames.rows[at].tolist() == wanted.tolist()
     assert (at % CYCLE).tolist() == (wanted % CYCLE).tolist()

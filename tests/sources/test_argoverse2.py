@@ -91,7 +91,7 @@ def test_each_ray_starts_at_its_lidar_when_it_fired(log: Path) -> None:
 
 @pytest.mark.parametrize("inner", ["", "sensors/lidar", "..", "../../.."])
 def test_a_log_is_found_from_related_folders(log: Path, inner: str) -> None:
-    assert isinstance(open_sequence(str(log / inner)), Argoverse2Sequence)
+    assert isinstance(open_sequence(str(log / inner)).reader, Argoverse2Sequence)
 
 
 def test_several_logs_are_reported(log: Path) -> None:

@@ -11,8 +11,7 @@ from helpers.scan_folders import write_kitti_poses
 from helpers.street import drive
 
 import dynaviz as dv
-from dynaviz.contracts.attributes import attributes_of, far_origin, origin_of
-from dynaviz.contracts.scan import select_frames
+from dynaviz.contracts.attributes import far_origin
 from dynaviz.errors import UsageError
 from dynaviz.io.pcd import write_pcd
 from dynaviz.io.velodyne import detect_columns
@@ -47,9 +46,9 @@ def write_scans(folder: Path, offset: np.ndarray, *, world: bool = False) -> Pat
 
 
 def test_attributes_follow_the_points(tmp_path: Path) -> None:
-    sequence = select_frames(dv.open(write_scans(tmp_path / "scans", np.zeros(3))), "1:", 2)
+    sequence = dv.open(write_scans(tmp_path / "scans", np.zeros(3))).select("1:", 2)
     for position, frame in enumerate((1, 3)):
-        found = attributes_of(sequence, position)
+        found = sequence.attributes(position)
         assert found["ring"].tobytes() == RINGS[frame].tobytes()
         assert found["intensity"].tobytes() == INTENSITY[frame].tobytes()
     assert found.keys() == {"ring", "intensity"}
@@ -63,8 +62,8 @@ def test_a_far_sequence_is_the_same_as_one_near_zero(tmp_path: Path, world: bool
         points_in=points_in,
     )
     far = dv.open(write_scans(tmp_path / "far", UTM, world=world), points_in=points_in)
-    np.testing.assert_array_equal(origin_of(far), [512_000, 5_403_000, 0])
-    assert not origin_of(near).any()
+    np.testing.assert_array_equal(far.origin, [512_000, 5_403_000, 0])
+    assert not near.origin.any()
     for a, b in zip((near[k] for k in range(FRAMES)), (far[k] for k in range(FRAMES)), strict=True):
         np.testing.assert_array_equal(a.points, b.points)
         np.testing.assert_array_equal(a.T_world_sensor, b.T_world_sensor)
@@ -82,10 +81,10 @@ def test_bags_keep_all_fields_and_shift_far_poses(tmp_path: Path) -> None:
             bag.cloud(0.1 * k, columns | {"ring": RINGS[k], "intensity": INTENSITY[k]})
             bag.odometry(0.1 * k, at(*(UTM + np.array([k, 0, 0])), 0.0))
     sequence = dv.open(bag.path)
-    np.testing.assert_array_equal(origin_of(sequence), [512_000, 5_403_000, 0])
+    np.testing.assert_array_equal(sequence.origin, [512_000, 5_403_000, 0])
     np.testing.assert_allclose(sequence[1].T_world_sensor[:3, 3], [1.25, 0.5, 380.0], atol=1e-6)
     np.testing.assert_allclose(sequence[1].points, LOCAL[1] + [1.25, 0.5, 380.0], atol=1e-4)
-    found = attributes_of(sequence, 2)
+    found = sequence.attributes(2)
     assert found.keys() == {"ring", "intensity"}
     assert found["intensity"].tobytes() == INTENSITY[2].tobytes()
     assert sequence[2].stamp_ns == START + 200_000_000
@@ -119,7 +118,7 @@ def test_columns_of_bin_files_are_detected(tmp_path: Path, columns: int, names: 
     assert " ".join(detect_columns(tmp_path / "000000.bin")) == names
     sequence = dv.open(tmp_path)
     np.testing.assert_array_equal(sequence[0].points, table[:, :3])
-    assert list(attributes_of(sequence, 0)) == names.split()[3:]
+    assert list(sequence.attributes(0)) == names.split()[3:]
 
 
 @pytest.mark.parametrize("columns", [3, 4, 5, 6])

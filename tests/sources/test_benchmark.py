@@ -63,10 +63,10 @@ def assert_same(sequence: Sequence, scans: list[Scan]) -> None:
 @pytest.mark.parametrize("inner", ["", "pcd"])
 def test_scans_have_pose_and_labels(folder: Path, scans: list[Scan], inner: str) -> None:
     sequence = open_sequence(str(folder / inner))
-    assert isinstance(sequence, BenchmarkSequence)
+    assert isinstance(sequence.reader, BenchmarkSequence)
     assert (sequence.name, sequence.sensor.name, sequence.has_labels) == ("drive", "unknown", True)
     assert sequence.truth is not None
-    assert sequence.truth.by_index
+    assert sequence.reader.truth.by_index
     assert_same(sequence, scans)
     assert sequence[0].stamp_ns is None
 
@@ -100,7 +100,7 @@ def test_a_labelled_cloud_in_another_order_is_matched_by_position(
     tmp_path: Path, scans: list[Scan]
 ) -> None:
     sequence = open_sequence(str(write(tmp_path, scans, slice(None, None, -1))))
-    assert isinstance(sequence, BenchmarkSequence)
+    assert isinstance(sequence.reader, BenchmarkSequence)
     assert_same(sequence, scans)
     assert sequence.facts == {
         "ground truth by": "coordinates in gt_cloud.pcd",
@@ -110,7 +110,7 @@ def test_a_labelled_cloud_in_another_order_is_matched_by_position(
 
 def test_unmatched_points_are_unlabelled_and_counted(tmp_path: Path, scans: list[Scan]) -> None:
     sequence = open_sequence(str(write(tmp_path, scans, slice(10, None))))
-    assert isinstance(sequence, BenchmarkSequence)
+    assert isinstance(sequence.reader, BenchmarkSequence)
     labels = sequence[0].labels
     assert labels is not None
     assert (labels[:10] == 255).all()

@@ -15,7 +15,6 @@ from helpers.pose_files import kitti, quaternions, scans_to, tum
 from helpers.street import Sweep, drive
 
 import dynaviz as dv
-from dynaviz.contracts.scan import base_of
 from dynaviz.errors import DataError
 from dynaviz.spatial import geometry
 
@@ -26,7 +25,7 @@ NEAR = 0.05  # metres of error that a right map may have
 def assert_right(sequence: dv.Sequence, sweeps: Sequence[Sweep]) -> None:
     """All points are where they were, up to one motion of the whole world."""
     assert len(sequence) == len(sweeps)
-    origin = getattr(base_of(sequence), "origin", np.zeros(3))
+    origin = sequence.origin
     move = sweeps[0].T @ geometry.inverse(sequence[0].T_world_sensor)
     for position, sweep in enumerate(sweeps):
         found = geometry.apply(move, sequence[position].points.astype(np.float64))
@@ -36,7 +35,7 @@ def assert_right(sequence: dv.Sequence, sweeps: Sequence[Sweep]) -> None:
 
 def facts(sequence: dv.Sequence) -> dict[str, str]:
     """What ``info`` shows."""
-    return dict(base_of(sequence).facts)  # type: ignore[attr-defined]
+    return dict(sequence.facts)
 
 
 @pytest.mark.parametrize(

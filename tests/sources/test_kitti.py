@@ -41,7 +41,7 @@ def test_missing_sweeps_leave_a_gap_in_the_numbers(training: Path) -> None:
 @pytest.mark.parametrize("inner", ["", "velodyne", "velodyne/0003", "0003", ".."])
 def test_tracking_is_found_from_related_folders(training: Path, inner: str) -> None:
     sequence = open_sequence(str(training / inner))
-    assert isinstance(sequence, KittiTrackingSequence)
+    assert isinstance(sequence.reader, KittiTrackingSequence)
     assert (sequence.name, sequence.sensor.name, sequence.has_labels) == (
         "kitti_tracking_0003",
         "hdl64e",
@@ -124,7 +124,7 @@ def test_a_sweep_without_label_file_is_unlabelled(sequence_folder: Path) -> None
 @pytest.mark.parametrize("inner", ["", "velodyne", "..", "../.."])
 def test_semantickitti_is_found_from_related_folders(sequence_folder: Path, inner: str) -> None:
     sequence = open_sequence(str(sequence_folder / inner))
-    assert isinstance(sequence, SemanticKittiSequence)
+    assert isinstance(sequence.reader, SemanticKittiSequence)
     assert (sequence.name, sequence.sensor.name, sequence.has_labels) == (
         "semantickitti_04",
         "hdl64e",

@@ -35,7 +35,7 @@ def test_tracklets_become_labels(drive: Path) -> None:
 
 def test_frames_keep_their_numbers_and_stamps(drive: Path) -> None:
     sequence = open_sequence(str(drive))
-    assert isinstance(sequence, KittiRawSequence)
+    assert isinstance(sequence.reader, KittiRawSequence)
     assert (sequence.name, sequence.sensor.name) == ("kitti_raw_2011_09_26_drive_0009", "hdl64e")
     assert [sequence[k].index for k in range(len(sequence))] == [0, 1, 3]
     start = 1_317_042_145_000_000_000
@@ -88,7 +88,7 @@ def test_without_tracklets_there_are_no_labels_and_no_camera_is_needed(drive: Pa
 
 @pytest.mark.parametrize("inner", ["", "velodyne_points", "velodyne_points/data", "..", "../.."])
 def test_a_drive_is_found_from_related_folders(drive: Path, inner: str) -> None:
-    assert isinstance(open_sequence(str(drive / inner)), KittiRawSequence)
+    assert isinstance(open_sequence(str(drive / inner)).reader, KittiRawSequence)
 
 
 def test_several_drives_are_reported(drive: Path) -> None:
@@ -162,7 +162,7 @@ def test_missing_and_corrupt_files_are_reported(
 def test_odometry_reads_poses_next_to_the_sequences(tmp_path: Path, inner: str) -> None:
     write_odometry(tmp_path)
     sequence = open_sequence(str(tmp_path / inner))
-    assert type(sequence) is KittiOdometrySequence
+    assert type(sequence.reader) is KittiOdometrySequence
     assert (sequence.name, sequence.has_labels, len(sequence)) == ("kitti_odometry_00", False, 3)
     assert sequence[2].labels is None
     np.testing.assert_allclose(sequence[2].position, [2, 0, 0], atol=1e-12)
@@ -172,7 +172,7 @@ def test_odometry_reads_poses_next_to_the_sequences(tmp_path: Path, inner: str) 
 def test_poses_in_the_folder_select_semantickitti(tmp_path: Path) -> None:
     folder = write_odometry(tmp_path)
     (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
-    assert type(open_sequence(str(folder))) is SemanticKittiSequence
+    assert type(open_sequence(str(folder)).reader) is SemanticKittiSequence
     assert open_sequence(str(folder))[2].position[0] == 0
     assert open_sequence(f"kitti_odometry:{folder}")[2].position[0] == pytest.approx(2)
     (tmp_path / "poses/00.txt").unlink()

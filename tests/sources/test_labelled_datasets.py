@@ -17,7 +17,6 @@ from helpers.labelled_files import (
     write_sustech,
 )
 
-from dynaviz.contracts.attributes import facts_of
 from dynaviz.errors import DataError, NoPoses
 from dynaviz.io.pickled_table import read_pickled_table
 from dynaviz.sources.datasets import open_sequence
@@ -28,7 +27,7 @@ from dynaviz.sources.datasets.sustechpoints import SustechPointsSequence
 
 def test_moe_has_a_label_for_each_point(tmp_path: Path) -> None:
     sequence = open_sequence(str(write_moe(tmp_path)))
-    assert isinstance(sequence, MoeSequence)
+    assert isinstance(sequence.reader, MoeSequence)
     assert (sequence.name, len(sequence), sequence.has_labels) == ("moe_00", 3, True)
     assert [scan.labels.tolist() for scan in sequence] == [[1, 0, 0, 0]] * 2 + [[255] * 4]
     scan = sequence[1]
@@ -36,7 +35,7 @@ def test_moe_has_a_label_for_each_point(tmp_path: Path) -> None:
     assert names == ["moving, class 3", "moveable, standing", "not moveable", "not moveable"]
     np.testing.assert_allclose(scan.points[0], (11, 0, 2), atol=1e-6)
     np.testing.assert_allclose(scan.T_world_sensor[:3, 3], (1, 0, 2))
-    assert facts_of(sequence)["labels"] == "of a simulator, exact"
+    assert sequence.facts["labels"] == "of a simulator, exact"
 
 
 def test_moe_is_found_from_related_folders(tmp_path: Path) -> None:
@@ -70,7 +69,7 @@ def test_labels_of_moe_that_do_not_fit(tmp_path: Path, line: str | None, problem
 @pytest.mark.parametrize("suffix", [".pkl.gz", ".pkl"])
 def test_pandaset_has_boxes_of_both_lidars_and_classes(tmp_path: Path, suffix: str) -> None:
     sequence = open_sequence(str(write_pandaset(tmp_path, suffix)))
-    assert isinstance(sequence, PandaSetSequence)
+    assert isinstance(sequence.reader, PandaSetSequence)
     assert (sequence.name, sequence.sensor.name) == ("pandaset_002", "pandar64")
     first, second, last = sequence
     # The object ahead, the parked one, beside the first (unlabelled), and a reflection.
@@ -86,7 +85,7 @@ def test_pandaset_has_boxes_of_both_lidars_and_classes(tmp_path: Path, suffix: s
     assert second.classes.tolist() == [13, 37, 0, 0] * 2
     # Two boxes with siblings are one object.
     assert second.instances.tolist() == [1, 2, 0, 0] * 2
-    assert facts_of(sequence)["objects with boxes"] == "2, of which 1 move"
+    assert sequence.facts["objects with boxes"] == "2, of which 1 move"
     np.testing.assert_allclose(first.points[0], (-10, 0, 0), atol=1e-5)
     assert sequence.attributes(0)["intensity"].tolist() == list(range(8))
 
@@ -104,11 +103,11 @@ def test_rays_of_pandaset_start_at_their_lidar_when_it_measured(tmp_path: Path) 
 
 def test_a_box_of_one_lidar_does_not_hold_for_points_of_the_other(tmp_path: Path) -> None:
     root = write_pandaset(tmp_path)
-    sequence = open_sequence(str(root))
-    boxes = sequence.boxes[0]
+    reader = open_sequence(str(root)).reader
+    boxes = reader.boxes[0]
     assert [seen.lidar for seen in boxes] == [0, 1, -1]
     moved = np.array([(-10.75, 0, 0), (-10.75, 0, 0)])
-    labels = sequence._truth(1, np.repeat(moved, 4, axis=0), np.repeat([0, 1], 4)).labels
+    labels = reader._truth(1, np.repeat(moved, 4, axis=0), np.repeat([0, 1], 4)).labels
     assert labels.tolist() == [1] * 4 + [255] * 4
 
 
@@ -168,7 +167,7 @@ def test_bombs_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_sustechpoints_has_boxes_with_ids(tmp_path: Path) -> None:
     sequence = open_sequence(str(write_sustech(tmp_path)))
-    assert isinstance(sequence, SustechPointsSequence)
+    assert isinstance(sequence.reader, SustechPointsSequence)
     assert (sequence.name, sequence.has_labels) == ("sustechpoints_example", True)
     # The object ahead, the parked one, beside the first, and in a box without an id.
     assert [scan.labels.tolist() for scan in sequence] == [
@@ -185,7 +184,7 @@ def test_sustechpoints_has_boxes_with_ids(tmp_path: Path) -> None:
     ]
     np.testing.assert_allclose(scan.points[0], (11, 0, 0), atol=1e-6)
     assert scan.stamp_ns == 1_557_540_000_500_000_000
-    facts = facts_of(sequence)
+    facts = sequence.facts
     assert facts["objects with boxes"] == "2, of which 1 move"
     assert facts["poses"] == "lidar_pose/*.json"
     assert facts["boxes without an id"].startswith("2,")
@@ -194,10 +193,10 @@ def test_sustechpoints_has_boxes_with_ids(tmp_path: Path) -> None:
 def test_sustechpoints_without_times_judges_by_the_way(tmp_path: Path) -> None:
     sequence = open_sequence(str(write_sustech(tmp_path, timed=False)))
     assert sequence[0].labels.tolist() == [0, 0, 0, 255]  # 1 m, which is not over 1 m
-    assert "not times" in facts_of(sequence)["moving objects"]
-    pose = sequence.folder / "lidar_pose/000001.json"
+    assert "not times" in sequence.facts["moving objects"]
+    pose = sequence.reader.folder / "lidar_pose/000001.json"
     pose.write_text(pose.read_text().replace("1.0, 0.0, 0.0, 1.0", "1.0, 0.0, 0.0, 2.0", 1))
-    again = open_sequence(str(sequence.folder))
+    again = open_sequence(str(sequence.reader.folder))
     assert again[0].labels.tolist()[0] == 1
 
 
@@ -211,7 +210,7 @@ def test_sustechpoints_without_poses_has_no_labels(tmp_path: Path) -> None:
     sequence = open_sequence(str(root), poses="none")
     assert not sequence.has_labels
     assert sequence[0].labels is None
-    assert facts_of(sequence)["labels"].startswith("none")
+    assert sequence.facts["labels"].startswith("none")
 
 
 def test_turned_boxes_of_sustechpoints(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import pytest
 from helpers.bags import POSES, XYZ, BagWriter, N, at, columns
 
 import dynaviz as dv
-from dynaviz.contracts.scan import base_of
 from dynaviz.errors import UsageError
 from dynaviz.sources.datasets.lidars import Lidars
 
@@ -19,7 +18,7 @@ WRITTEN = "{a}=1,0,0.5,0,0,0;{b}=-2,0.3,0.5,0,0,180"
 
 def assert_alternating(sequence: dv.Sequence) -> None:
     """Frames alternate between the lidars; each has its own pose and ray origin."""
-    assert isinstance(base_of(sequence), Lidars)
+    assert isinstance(sequence.reader, Lidars)
     assert len(sequence) == 2 * N
     for k in range(2 * N):
         T = POSES[k // 2] @ MOUNTS["front" if k % 2 == 0 else "rear"]

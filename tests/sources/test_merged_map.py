@@ -10,7 +10,6 @@ from helpers.bags import START, at
 from helpers.scan_folders import write_tum_poses
 
 import dynaviz as dv
-from dynaviz.contracts.attributes import attributes_of, facts_of, origin_of
 from dynaviz.errors import DataError
 from dynaviz.io.maps import open_map
 
@@ -40,12 +39,12 @@ def write(tmp_path: Path, times: np.ndarray | None, suffix: str = ".laz") -> tup
 def test_points_return_to_their_scans(tmp_path: Path, offset: float) -> None:
     path, poses = write(tmp_path, START / 1e9 - offset + SECONDS)
     sequence = dv.open(path, poses=poses)
-    origin = origin_of(sequence)
+    origin = sequence.origin
     assert origin.tolist() == [512_000 if UTM[0] < 512_500 else 513_000, 5_403_000, 0]
     assert 9 <= len(sequence) <= 11
     seen = []
     for k in range(len(sequence)):
-        scan, found = sequence[k], attributes_of(sequence, k)
+        scan, found = sequence[k], sequence.attributes(k)
         rows = found["intensity"].astype(int)
         seen += rows.tolist()
         np.testing.assert_allclose(scan.points + origin, XYZ[rows], atol=2e-4)
@@ -88,10 +87,10 @@ def test_seconds_of_the_gps_week(tmp_path: Path) -> None:
     path, poses = write(tmp_path, of_week + SECONDS)
     sequence = dv.open(path, poses=poses)
     assert sum(len(scan) for scan in sequence) == N
-    assert "seconds of the GPS week" in dict(facts_of(sequence))["split by"]
-    origin = origin_of(sequence)[0]
+    assert "seconds of the GPS week" in sequence.facts["split by"]
+    origin = sequence.origin[0]
     for k in range(len(sequence)):
-        rows = attributes_of(sequence, k)["intensity"].astype(int)
+        rows = sequence.attributes(k)["intensity"].astype(int)
         expected = UTM[0] - origin + 2 * SECONDS[rows]
         np.testing.assert_allclose(sequence[k].origins[:, 0], expected, atol=0.003)
 
@@ -109,5 +108,5 @@ def test_a_point_without_a_valid_time_is_left_out(tmp_path: Path, value: float) 
     times[5] = value
     path, poses = write(tmp_path, times, ".pcd")
     sequence = dv.open(path, poses=poses)
-    rows = np.concatenate([attributes_of(sequence, k)["intensity"] for k in range(len(sequence))])
+    rows = np.concatenate([sequence.attributes(k)["intensity"] for k in range(len(sequence))])
     assert sorted(rows.tolist()) == [k for k in range(N) if k != 5]

@@ -19,7 +19,7 @@ from dynaviz.sources.datasets.helimos import SENSORS, HelimosSequence
 def test_each_lidar_of_helimos_is_a_sequence(tmp_path: Path, lidar: str) -> None:
     root = write_helimos(tmp_path, list(SENSORS))
     sequence = open_sequence(str(root / lidar))
-    assert isinstance(sequence, HelimosSequence)
+    assert isinstance(sequence.reader, HelimosSequence)
     assert (sequence.name, sequence.sensor.name) == (f"helimos_{lidar.lower()}", SENSORS[lidar])
     assert [sequence[k].labels.tolist() for k in range(4)] == [[0, 1, 255, 255]] * 3 + [[255] * 4]
     np.testing.assert_allclose(sequence[1].T_world_sensor[:3, 3], (1, 0, 0), atol=1e-12)
@@ -59,7 +59,7 @@ def test_files_missing_from_helimos_are_reported(tmp_path: Path) -> None:
 def test_labels_of_doals_belong_to_scans_by_stamp(tmp_path: Path) -> None:
     folder = write_doals(tmp_path)
     sequence = open_sequence(str(folder))
-    assert isinstance(sequence, DoalsSequence)
+    assert isinstance(sequence.reader, DoalsSequence)
     assert (sequence.name, sequence.sensor.name, sequence.has_labels) == (
         "doals_hauptgebaeude_1",
         "os1_64",

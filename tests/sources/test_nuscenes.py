@@ -30,7 +30,7 @@ def root(tmp_path: Path) -> Path:
 
 def test_keyframes_and_sweeps_are_in_order_of_time(root: Path) -> None:
     sequence = open_sequence(str(root))
-    assert isinstance(sequence, NuScenesSequence)
+    assert isinstance(sequence.reader, NuScenesSequence)
     assert (sequence.name, sequence.sensor.name, len(sequence)) == (
         "nuscenes_scene-0061",
         "hdl32e",
@@ -90,7 +90,7 @@ def test_boxes_rotate_the_short_way_between_keyframes(root: Path) -> None:
             ]  # 10 degrees to the left, as the negative quaternion
     path.write_text(json.dumps(rows))
     sequence = open_sequence(str(root))
-    assert isinstance(sequence, NuScenesSequence)
+    assert isinstance(sequence.reader, NuScenesSequence)
     # in the box, which is rotated by 4 degrees in this frame
     corner, frame = (
         np.array([1.95, 0.95, 0.5]),

@@ -13,7 +13,8 @@ from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
 from dynaviz.io.pcd import write_pcd
 from dynaviz.io.poses import read_poses
-from dynaviz.sources.odometry.refine import RefinedSequence, refine
+from dynaviz.sources.drive import Drive
+from dynaviz.sources.odometry.refine import refine
 from dynaviz.spatial import geometry
 from dynaviz.synthetic.simulate.poses import transforms
 from dynaviz.testing import InMemory
@@ -53,12 +54,17 @@ def spread(sequence: dv.Sequence) -> float:
 
 
 @pytest.fixture(scope="module")
-def refined() -> RefinedSequence:
-    return refine(InMemory(disturbed(0.04, 0.2)))
+def given() -> Drive:
+    return Drive.of(InMemory(disturbed(0.04, 0.2)))
 
 
-def test_errors_of_single_frames_vanish(refined: RefinedSequence) -> None:
-    assert spread(refined) < 0.3 * spread(refined.whole)
+@pytest.fixture(scope="module")
+def refined(given: Drive) -> Drive:
+    return refine(given)
+
+
+def test_errors_of_single_frames_vanish(given: Drive, refined: Drive) -> None:
+    assert spread(refined) < 0.3 * spread(given)
     found = refined.refinement
     assert found.before is not None
     assert found.after is not None
@@ -66,18 +72,20 @@ def test_errors_of_single_frames_vanish(refined: RefinedSequence) -> None:
     assert found.frames == FRAMES
 
 
-def test_the_refinement_states_how_far_poses_moved(refined: RefinedSequence) -> None:
-    given = np.array([refined.whole[k].position for k in range(FRAMES)])
-    moved = np.linalg.norm(refined.poses[:, :3, 3] - given, axis=1)
+def test_the_refinement_states_how_far_poses_moved(given: Drive, refined: Drive) -> None:
+    before, after = (
+        np.array([drive[k].position for k in range(FRAMES)]) for drive in (given, refined)
+    )
+    moved = np.linalg.norm(after - before, axis=1)
     assert refined.refinement.median_m == pytest.approx(np.median(moved), abs=1e-5)
     assert refined.refinement.max_m == pytest.approx(moved.max(), abs=1e-5)
     assert 0.05 < refined.refinement.median_deg <= refined.refinement.max_deg < 1.0
     assert refined[2].labels is not None
-    np.testing.assert_array_equal(refined[2].position, refined.poses[2, :3, 3])
+    np.testing.assert_array_equal(refined[2].position, refined.poses[-1].T_world_sensor[2, :3, 3])
 
 
 def test_exact_poses_stay() -> None:
-    found = refine(InMemory(TRUE)).refinement
+    found = refine(Drive.of(InMemory(TRUE))).refinement
     assert found.max_m < 0.01
     assert found.max_deg < 0.05
 
@@ -87,8 +95,8 @@ def test_scans_that_do_not_match_keep_their_poses() -> None:
         Scan(k, np.zeros((0, 3), np.float32), T)
         for k, T in enumerate(np.tile(np.eye(4), (5, 1, 1)))
     ]
-    found = refine(InMemory(empty))
-    np.testing.assert_array_equal(found.poses, np.tile(np.eye(4), (5, 1, 1)))
+    found = refine(Drive.of(InMemory(empty)))
+    np.testing.assert_array_equal(found.poses[-1].T_world_sensor, np.tile(np.eye(4), (5, 1, 1)))
     assert (found.refinement.frames, found.refinement.after) == (0, None)
 
 

@@ -14,7 +14,7 @@ from helpers.bags import KINDS, POSES, START, XYZ, BagWriter, N, at, columns, dr
 
 import dynaviz as dv
 from dynaviz import api
-from dynaviz.contracts.scan import Sequence, base_of
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError, UsageError
 from dynaviz.sources.datasets.rosbag import RosBagSequence
 
@@ -40,12 +40,12 @@ def assert_equal(
 def test_every_kind_of_bag(tmp_path: Path, kind: str) -> None:
     path = drive(tmp_path / "drive", kind)
     sequence = dv.open(path)
-    assert isinstance(base_of(sequence), RosBagSequence)
+    assert isinstance(sequence.reader, RosBagSequence)
     assert (sequence.name, sequence.has_labels) == ("drive", False)
     assert_equal(sequence)
     assert sequence[2].stamp_ns == START + 200_000_000
-    assert base_of(sequence).facts["poses"] == "/odom"
-    assert base_of(sequence).facts["deskewed"] == "no, points have no times"
+    assert sequence.facts["poses"] == "/odom"
+    assert sequence.facts["deskewed"] == "no, points have no times"
     for file in path.glob("*.[dm][bc]*"):  # the storage file alone
         assert_equal(dv.open(file))
 
@@ -176,7 +176,7 @@ def robot(
 def test_the_mount_of_the_lidar_is_applied(tmp_path: Path, odometry: bool, tf: bool) -> None:
     sequence = dv.open(robot(tmp_path / "drive", odometry=odometry, tf=tf))
     assert_equal(sequence, np.array([T @ MOUNT for T in POSES]))
-    assert base_of(sequence).facts["poses"] == ("TF from lidar to odom" if tf else "/odom")  # type: ignore[attr-defined]
+    assert sequence.facts["poses"] == ("TF from lidar to odom" if tf else "/odom")
 
 
 def test_several_world_frames_are_reported(tmp_path: Path) -> None:
@@ -380,7 +380,7 @@ def test_sweeps_are_deskewed(tmp_path: Path, field: str, times: np.ndarray) -> N
         for k in range(70):
             bag.odometry(k / 100, at(15 * k / 100, 0, 0, k / 100))
     sequence = dv.open(bag.path)
-    assert base_of(sequence).facts["deskewed"] == f"with the field {field}"  # type: ignore[attr-defined]
+    assert sequence.facts["deskewed"] == f"with the field {field}"
     scan = sequence[3]
     poses = np.array([at(15 * (0.3 + s), 0, 0, 0.3 + s) for s in SWEEP])
     expected = np.array([placed(p[None], T)[0] for p, T in zip(XYZ[3], poses, strict=True)])
@@ -425,11 +425,11 @@ def test_a_bag_of_real_sweeps_gives_the_same_labels_as_the_folder(
     from dynaviz.io.velodyne import read_velodyne
     from dynaviz.sources.datasets.kitti_tracking import KittiTrackingSequence
 
-    folder = base_of(dv.open(real_tracking))
-    assert isinstance(folder, KittiTrackingSequence)
+    folder = dv.open(real_tracking)
+    assert isinstance(folder.reader, KittiTrackingSequence)
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(len(folder)):
-            xyzi = read_velodyne(folder.scans[folder[k].index])
+            xyzi = read_velodyne(folder.reader.scans[folder[k].index])
             bag.cloud(k / 10, columns(xyzi, intensity=xyzi[:, 3]), frame="velodyne")
             bag.odometry(k / 10, folder[k].T_world_sensor, child="velodyne")
     from_bag, from_folder = (

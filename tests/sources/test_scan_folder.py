@@ -25,7 +25,7 @@ from helpers.scan_folders import (
 import dynaviz as dv
 from dynaviz import api
 from dynaviz.cli import main
-from dynaviz.contracts.scan import Sequence, base_of
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pcd import write_pcd
 from dynaviz.sources.datasets.benchmark import BenchmarkSequence
@@ -45,10 +45,10 @@ def assert_equal(sequence: Sequence, world: np.ndarray = WORLD, poses: np.ndarra
 def test_every_format_of_scans(tmp_path: Path, suffix: str) -> None:
     write_kitti_poses(write_scans(tmp_path, suffix) / "poses.txt")
     sequence = dv.open(tmp_path)
-    assert isinstance(base_of(sequence), ScanFolderSequence)
+    assert isinstance(sequence.reader, ScanFolderSequence)
     assert_equal(sequence)
     assert [sequence[k].index for k in range(N)] == list(range(N))
-    facts = base_of(sequence).facts  # type: ignore[attr-defined]
+    facts = sequence.facts
     assert facts["poses"] == "poses.txt (KITTI), by order"
     assert facts["points in"] == "sensor frame"
     assert facts["names"].startswith("frame numbers, 000000")
@@ -84,7 +84,7 @@ def test_by_stamp_with_interpolation(tmp_path: Path, names: list[str]) -> None:
     fine = np.array([at(k / 2 - 0.25, 0, 0, 0.1 * (k / 2 - 0.25)) for k in range(2 * N)])
     write_tum_poses(tmp_path / "drive.tum", between, fine)
     sequence = dv.open(tmp_path)
-    assert base_of(sequence).facts["poses"] == "drive.tum (TUM), by stamp"  # type: ignore[attr-defined]
+    assert sequence.facts["poses"] == "drive.tum (TUM), by stamp"
     for k in range(N):
         assert sequence[k].stamp_ns == STAMPS[k]
         assert sequence[k].index == k
@@ -137,7 +137,7 @@ def test_tum_and_numbered_scans_are_matched_by_order(tmp_path: Path) -> None:
     write_tum_poses(write_scans(tmp_path) / "poses.tum", STAMPS, POSES)
     sequence = dv.open(tmp_path)
     assert_equal(sequence)
-    assert base_of(sequence).facts["poses"].endswith("by order")  # type: ignore[attr-defined]
+    assert sequence.facts["poses"].endswith("by order")
     assert [sequence[k].stamp_ns for k in range(N)] == STAMPS
 
 
@@ -184,9 +184,9 @@ def test_viewpoints_are_poses(tmp_path: Path) -> None:
         write_pcd(tmp_path / f"{k:03d}.pcd", fields, POSES[k])
     sequence = dv.open(f"files:{tmp_path}")
     assert_equal(sequence)
-    assert base_of(sequence).facts["poses"] == "VIEWPOINT of each PCD"  # type: ignore[attr-defined]
+    assert sequence.facts["poses"] == "VIEWPOINT of each PCD"
     assert isinstance(
-        base_of(dv.open(tmp_path)), BenchmarkSequence
+        dv.open(tmp_path).reader, BenchmarkSequence
     )  # whose points are in the world frame
     write_scans(tmp_path, ".pcd", [f"{k:03d}" for k in range(N)])
     with pytest.raises(DataError, match=r"VIEWPOINT is the identity in every scan.*poses"):

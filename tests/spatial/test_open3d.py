@@ -13,6 +13,7 @@ from helpers.worlds import room
 
 from dynaviz import api
 from dynaviz.errors import MissingDependency
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.odometry.refine import refine
 from dynaviz.synthetic.simulate import simulate
 
@@ -44,7 +45,7 @@ def test_a_library_is_missing(
         simulate("square_mid360", tmp_path / "scene", frames=2)
     assert not (tmp_path / "scene").exists()
     with pytest.raises(MissingDependency, match=f"^refine_poses=True{message}"):
-        refine(room(3, 300))
+        refine(Drive.of(room(3, 300)))
     assert api.run("octomap", room(3, 300)).sequence.frames == 3
 
 
@@ -53,4 +54,4 @@ def test_open3d_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
         MissingDependency, match=r"^refine_poses=True needs open3d\. Install it with: pip install"
     ):
-        refine(room(3, 300))
+        refine(Drive.of(room(3, 300)))

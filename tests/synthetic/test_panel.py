@@ -14,6 +14,7 @@ from dynaviz.contracts.scan import Label
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import UsageError
+from dynaviz.sources.drive import Drive
 from dynaviz.synthetic.implants.implant_options import ImplantOptions
 from dynaviz.synthetic.implants.implant_scene import CLASSES
 from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
@@ -45,7 +46,7 @@ def test_points_that_most_methods_keep_are_static_and_those_that_all_remove_dyna
     unlabelled: InMemory,
 ) -> None:
     steps: list[str] = []
-    agreed = votes(unlabelled, PANEL, lambda phase, done, total: steps.append(phase))
+    agreed = votes(Drive.of(unlabelled), PANEL, lambda phase, done, total: steps.append(phase))
     both = list(zip(*(removed(name, unlabelled) for name in PANEL), strict=True))
     for position, (a, b) in enumerate(both):
         np.testing.assert_array_equal(
@@ -58,13 +59,13 @@ def test_points_that_most_methods_keep_are_static_and_those_that_all_remove_dyna
 
 def test_methods_of_a_panel_get_estimates_of_an_unknown_sensor(unlabelled: InMemory) -> None:
     with pytest.warns(UserWarning, match="the sensor is unknown"):
-        agreed = votes(InMemory(unlabelled.scans, "street", Sensor()), PANEL)
+        agreed = votes(Drive.of(InMemory(unlabelled.scans, "street", Sensor())), PANEL)
     assert sum(agreed.dynamic(position).sum() for position in range(len(unlabelled))) > 0
 
 
 def test_one_of_three_methods_is_outvoted(unlabelled: InMemory) -> None:
     panel = ("beautymap", "removert", "dufomap")
-    agreed = votes(unlabelled, panel)
+    agreed = votes(Drive.of(unlabelled), panel)
     ballots = list(zip(*(removed(name, unlabelled) for name in panel), strict=True))
     for position, ballot in enumerate(ballots):
         removals = np.sum(ballot, axis=0)
@@ -135,4 +136,4 @@ def test_the_default_panel_is_installed() -> None:
 
 def test_an_unknown_method(unlabelled: InMemory) -> None:
     with pytest.raises(UsageError, match=r"unknown method 'dufomab'\. Did you mean 'dufomap'"):
-        votes(unlabelled, ("dufomab",))
+        votes(Drive.of(unlabelled), ("dufomab",))

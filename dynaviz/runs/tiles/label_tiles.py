@@ -21,7 +21,7 @@ from dynaviz.arrays import U8
 from dynaviz.contracts import registry
 from dynaviz.contracts.extent import CELL
 from dynaviz.contracts.method import Context, Halo, Labels, Tileable
-from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.tiles.grid import Tile, TileGrid, unpacked
@@ -29,6 +29,7 @@ from dynaviz.runs.tiles.index import SequenceIndex, indexed
 from dynaviz.runs.tiles.tile import DYNAMIC, NEAR, AnswersHead, TileCodes, TileFrames, TileTask
 from dynaviz.scores.result import RecordMode, environment
 from dynaviz.scores.sections import Runtime, Tiling
+from dynaviz.sources.drive import Drive
 from dynaviz.tasks.local import InThisProcess, LocalExecutor
 from dynaviz.tasks.task import Task, error_of
 
@@ -134,7 +135,7 @@ def label_tiles(
     folder: Path,
     method: Any,
     params: Any,
-    sequence: Sequence,
+    sequence: Drive,
     options: TileOptions,
     *,
     online: bool = False,
@@ -202,7 +203,7 @@ def label_tiles(
 
 
 def tile_frames(
-    sequence: Sequence, index: SequenceIndex, tile: Tile, halo: Halo, truth: bool
+    sequence: Drive, index: SequenceIndex, tile: Tile, halo: Halo, truth: bool
 ) -> TileFrames:
     """The frames of a sequence that see a tile or its halo."""
     frames = index.frames_reaching(tile, halo.metres + 2 * CELL)

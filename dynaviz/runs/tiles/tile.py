@@ -16,18 +16,11 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U8, Intp
 from dynaviz.contracts import registry
-from dynaviz.contracts.attributes import (
-    Attributes,
-    Unposed,
-    attributes_of,
-    coordinates_of,
-    origin_of,
-    trajectories_of,
-)
+from dynaviz.contracts.attributes import Attributes, Unposed
 from dynaviz.contracts.extent import CELL, GrowingExtent
 from dynaviz.contracts.method import Halo
 from dynaviz.contracts.metric import Figure, Labelled, Metric
-from dynaviz.contracts.scan import Scan, Sequence, SequenceView, stream
+from dynaviz.contracts.scan import Scan, stream
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
@@ -37,6 +30,8 @@ from dynaviz.runs.tiles.grid import Tile, TileGrid
 from dynaviz.runs.tiles.index import SequenceIndex
 from dynaviz.scores.result import RecordMode, Result
 from dynaviz.scores.sections import Runtime
+from dynaviz.sources.derived import Derived
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.summary import ScanDigest, SequenceSummary
 from dynaviz.spatial.trajectory import Moved, PosesOverTime
 
@@ -49,11 +44,11 @@ _HINT = "Delete it and run the same command again"
 
 
 @dataclass(frozen=True, eq=False)
-class TileFrames(SequenceView):
-    """The frames of a sequence that see a tile, with empty scans in place of some of the others.
+class TileFrames(Derived):
+    """The frames of a drive that see a tile, with empty scans in place of some of the others.
 
     Attributes:
-        whole: the sequence.
+        whole: the drive.
         rows: positions in the sequence, in order; -1 - position for an empty scan.
         numbers, places: of these frames: ``Scan.index`` and position of the sensor, (K, 3) float64,
             metres.
@@ -61,7 +56,7 @@ class TileFrames(SequenceView):
         truth: whether scans have their ground truth, which only a recording needs.
     """
 
-    whole: Sequence
+    whole: Drive
     rows: I64
     numbers: I64
     places: F64
@@ -70,7 +65,7 @@ class TileFrames(SequenceView):
 
     @classmethod
     def of(
-        cls, sequence: Sequence, index: SequenceIndex, frames: I64, offset: F64, truth: bool = False
+        cls, sequence: Drive, index: SequenceIndex, frames: I64, offset: F64, truth: bool = False
     ) -> TileFrames:
         """The frames at these positions, and short gaps of empty scans between them."""
         rows: list[int] = []
@@ -96,17 +91,17 @@ class TileFrames(SequenceView):
     @property
     def origin(self) -> F64:
         """(3,) float64, metres: what to add to coordinates to get those of the source."""
-        return origin_of(self.whole) + self.offset
+        return self.whole.origin + self.offset
 
     def attributes(self, position: int) -> Attributes:
         """Those of the sequence's frame."""
         row = int(self.rows[position])
-        return {} if row < 0 else attributes_of(self.whole, row)
+        return {} if row < 0 else self.whole.attributes(row)
 
     def coordinates(self, position: int) -> F32 | F64 | None:
         """Those of the sequence's frame."""
         row = int(self.rows[position])
-        return None if row < 0 else coordinates_of(self.whole, row)
+        return None if row < 0 else self.whole.coordinates(row)
 
     def unposed(self) -> Iterator[Unposed]:
         """None: those of the sequence belong to no tile."""
@@ -115,7 +110,7 @@ class TileFrames(SequenceView):
     @property
     def trajectories(self) -> Mapping[int, PosesOverTime]:
         """Those of the sequence."""
-        found = trajectories_of(self.whole)
+        found = self.whole.trajectories
         return {lidar: Moved(poses, -self.offset) for lidar, poses in found.items()}
 
     def __getitem__(self, position: int) -> Scan:

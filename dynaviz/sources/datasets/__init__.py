@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self
 
 from dynaviz.contracts import registry
-from dynaviz.contracts.scan import Sequence, select_frames
+from dynaviz.contracts.scan import Sequence
 from dynaviz.contracts.sensors import load_sensor
 from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.sources.datasets.lidars import Lidars, names_in
+from dynaviz.sources.drive import Drive
 
 
 class Dataset(Sequence, Protocol):
@@ -53,7 +54,7 @@ class Dataset(Sequence, Protocol):
         ...
 
 
-def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Sequence:
+def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Drive:
     """Open a sequence.
 
     Args:
@@ -74,9 +75,9 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
             )
         from dynaviz.sources.datasets.remote import RemoteSequence
 
-        return select_frames(RemoteSequence(text), sensor=load_sensor(sensor) if sensor else None)
+        return _with_sensor(RemoteSequence(text), sensor)
     if names_in(text):
-        return Lidars.open(text, partial(open_sequence, sensor=sensor), **options)
+        return Drive.of(Lidars.open(text, partial(open_sequence, sensor=sensor), **options))
     try:
         dataset, path = _parse(text)
         if dataset is None:
@@ -89,7 +90,13 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
         raise DataError(
             error.filename or text, problem, hint="Give the folder of a sequence"
         ) from None
-    return select_frames(sequence, sensor=load_sensor(sensor)) if sensor else sequence
+    return _with_sensor(sequence, sensor)
+
+
+def _with_sensor(sequence: Sequence, sensor: str | None) -> Drive:
+    """A sequence with the sensor of a name, if one is given."""
+    drive = Drive.of(sequence)
+    return drive.with_sensor(load_sensor(sensor)) if sensor else drive
 
 
 def is_sequence(text: str) -> bool:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dynaviz.arrays import F64, I64
 from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
@@ -110,7 +111,7 @@ class EgoPoses:
 
 
 @dataclass(frozen=True)
-class Argoverse2Sequence:
+class Argoverse2Sequence(Reader):
     """A log of the Argoverse 2 sensor data set, or of its lidar data set, which has no boxes.
 
     The world frame has the axes of the city frame, z up, and its origin at the sensor position of

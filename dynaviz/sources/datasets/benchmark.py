@@ -16,6 +16,7 @@ import numpy as np
 from dynaviz.arrays import F64, single
 from dynaviz.contracts.attributes import Attributes, far_origin
 from dynaviz.contracts.params import read_toml
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError, NoPoses
@@ -33,7 +34,7 @@ _POSE_HINT = (
 
 
 @dataclass(frozen=True)
-class BenchmarkSequence:
+class BenchmarkSequence(Reader):
     """A folder with ``pcd/*.pcd`` and, if there is ground truth, ``gt_cloud.pcd``.
 
     ``sequence.toml`` is optional; it sets ``name``, ``sensor``, ``rate`` (sweeps per second, which

@@ -14,6 +14,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64
 from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
@@ -30,7 +31,7 @@ _HINT = (
 
 
 @dataclass(frozen=True)
-class DoalsSequence:
+class DoalsSequence(Reader):
     """A sequence of DOALS: a bag, or a folder of scans named by their stamps, next to
     ``indices.csv``.
 

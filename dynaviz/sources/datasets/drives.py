@@ -13,29 +13,29 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.attributes import (
-    Attributes,
-    Unposed,
-    attributes_of,
-    coordinates_of,
-    is_exact,
-    las_file_of,
-    origin_of,
-    scan_file_of,
-    unposed_of,
-)
+from dynaviz.contracts.attributes import Attributes, Unposed
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, UsageError
+from dynaviz.sources.drive import Drive
 
 OBJECTS = 1_000_000  # instance numbers of a drive follow those of the one before
 
 
 @dataclass(frozen=True)
-class Joined:
-    """Frames of several sequences, moved into the world frame of the first."""
+class Joined(Reader):
+    """Frames of several drives, in the world frame of the first.
 
-    parts: tuple[Sequence, ...]
+    Attributes:
+        parts: the drives; sequences become drives, and all get the origin of the first.
+    """
+
+    parts: tuple[Drive, ...]
+
+    def __post_init__(self) -> None:
+        drives = tuple(map(Drive.of, self.parts))
+        object.__setattr__(self, "parts", tuple(each.at(drives[0].origin) for each in drives))
 
     def place(self, position: int) -> tuple[int, int]:
         """The part that a frame is from, and its position there."""
@@ -54,26 +54,26 @@ class Joined:
     @property
     def origin(self) -> F64:
         """(3,) float64, metres: that of the first part."""
-        return origin_of(self.parts[0])
+        return self.parts[0].origin
 
     @property
     def exact(self) -> bool:
         """Whether all parts have exact poses and sensors."""
-        return all(map(is_exact, self.parts))
+        return all(part.exact for part in self.parts)
 
     @property
     def las_file(self) -> Path | None:
         """That of the first part, in whose world frame all parts are."""
-        return las_file_of(self.parts[0])
+        return self.parts[0].las_file
 
     def scan_file(self, index: int) -> Path | None:
         """The file of the part's frame."""
         part, row = self.place(index)
         try:
-            scan: Scan = self.parts[part][row]
+            scan = self.parts[part][row]
         except DataError as error:  # the frame has a number of its own
             return error.path if isinstance(error.path, Path) else None
-        return scan_file_of(self.parts[part], scan.index)
+        return self.parts[part].scan_file(scan.index)
 
     def __len__(self) -> int:
         return sum(map(len, self.parts))
@@ -81,24 +81,21 @@ class Joined:
     def attributes(self, position: int) -> Attributes:
         """Those of the part's frame."""
         part, row = self.place(position)
-        return attributes_of(self.parts[part], row)
+        return self.parts[part].attributes(row)
 
     def coordinates(self, position: int) -> F32 | F64 | None:
         """Those of the part's frame."""
         part, row = self.place(position)
-        return coordinates_of(self.parts[part], row)
+        return self.parts[part].coordinates(row)
 
     def unposed(self) -> Iterator[Unposed]:
         """Those of all parts."""
         for part in self.parts:
-            yield from unposed_of(part)
+            yield from part.unposed()
 
     def __getitem__(self, position: int) -> Scan:
         part, row = self.place(position)
-        scan: Scan = self.parts[part][row]
-        if (offset := origin_of(self.parts[part]) - self.origin).any():
-            scan = scan.moved(offset)
-        return dataclasses.replace(scan, index=range(len(self))[position])
+        return dataclasses.replace(self.parts[part][row], index=range(len(self))[position])
 
 
 @dataclass(frozen=True)
@@ -122,7 +119,7 @@ class Drives(Joined):
             raise UsageError(
                 f"drives with different sensors cannot be joined: {', '.join(sorted(names))}"
             )
-        return cls(tuple(drives))
+        return cls(tuple(map(Drive.of, drives)))
 
     @property
     def name(self) -> str:

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.reader import Reader
 from dynaviz.errors import DataError
 from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
 
 T = TypeVar("T")
 
 
-class VelodyneSweeps:
+class VelodyneSweeps(Reader):
     """Frames that are numbered ``.bin`` files; ``scans`` are these files by number, in order."""
 
     scans: dict[int, Path]

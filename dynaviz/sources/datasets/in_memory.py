@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from dynaviz.arrays import F32, F64, single
 from dynaviz.contracts.attributes import Attributes
 from dynaviz.contracts.given import SCANS, given_points, given_pose, given_poses
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import NoPoses, UsageError
@@ -32,13 +33,13 @@ _NO_POSES = (
 
 
 @dataclass(frozen=True, eq=False)
-class ArraySequence:
+class ArraySequence(Reader):
     """Scans given as arrays.
 
     Attributes:
         clouds: (N, 3 or more) float for each scan, metres; the fourth column is the intensity.
         poses: (frames, 4, 4) float64, metres: T_world_sensor.
-        stamps: nanoseconds for each scan, or None.
+        scan_stamps: nanoseconds for each scan, or None.
         points_in: ``sensor`` or ``world``: the frame of the points.
         name, sensor: of the sequence.
         origin: (3,) float64, metres: what was subtracted from all positions.
@@ -46,7 +47,7 @@ class ArraySequence:
 
     clouds: tuple[NDArray[Any], ...]
     poses: F64
-    stamps: tuple[int | None, ...]
+    scan_stamps: tuple[int | None, ...]
     points_in: str = "sensor"
     name: str = "arrays"
     sensor: Sensor = field(default_factory=Sensor)
@@ -138,7 +139,7 @@ class ArraySequence:
         T_world_sensor = self.poses[position]
         world = self.points_in == "world"
         points = single(xyz - self.origin) if world else geometry.transform(T_world_sensor, xyz)
-        return Scan(position % len(self), points, T_world_sensor, self.stamps[position])
+        return Scan(position % len(self), points, T_world_sensor, self.scan_stamps[position])
 
 
 def without_poses(sequence: Sequence) -> bool:

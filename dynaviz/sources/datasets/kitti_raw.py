@@ -59,7 +59,7 @@ class KittiRawSequence(VelodyneSweeps):
     sensor: Sensor
     scans: dict[int, Path]
     poses: dict[int, F64]
-    stamps: dict[int, int]
+    scan_stamps: dict[int, int]
     camera: Camera | None
     boxes: dict[int, list[OrientedBox]]
     moving: frozenset[int]
@@ -143,7 +143,7 @@ class KittiRawSequence(VelodyneSweeps):
             index=index,
             points=geometry.transform(T_world_sensor, xyz),
             T_world_sensor=T_world_sensor,
-            stamp_ns=self.stamps.get(index),
+            stamp_ns=self.scan_stamps.get(index),
             **scan_fields(truth, CLASS_NAMES),
         )
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import I64
-from dynaviz.contracts.attributes import Attributes, facts_of, origin_of, trajectories_of
-from dynaviz.contracts.scan import Sequence
+from dynaviz.contracts.attributes import Attributes
 from dynaviz.errors import UsageError
 from dynaviz.sources.datasets.drives import Joined
 from dynaviz.sources.datasets.pose_matching import NO_POSES
-from dynaviz.spatial.trajectory import Moved, PosesOverTime
+from dynaviz.sources.drive import Drive
+from dynaviz.spatial.trajectory import PosesOverTime
 
 LIDAR = "lidar"
 """Attribute of points, and column of poses: number of the lidar, in the order of the names in the
@@ -44,7 +44,7 @@ class Lidars(Joined):
     def open(
         cls,
         text: str,
-        open_one: Callable[..., Sequence],
+        open_one: Callable[..., Drive],
         poses: str | None = None,
         extrinsic: str | None = None,
         **options: Any,
@@ -80,7 +80,7 @@ class Lidars(Joined):
     @property
     def name(self) -> str:
         """That of the bag, or of the folder with the lidars."""
-        folder: Path | None = getattr(self.parts[0], "folder", None)
+        folder: Path | None = getattr(self.parts[0].reader, "folder", None)
         return folder.parent.name if folder is not None else self.parts[0].name
 
     @property
@@ -89,7 +89,7 @@ class Lidars(Joined):
         counts = ", ".join(
             f"{name} ({len(lidar):,})" for name, lidar in zip(self.names, self.parts, strict=True)
         )
-        return {"lidars": counts, **facts_of(self.parts[0])}
+        return {"lidars": counts, **self.parts[0].facts}
 
     def attributes(self, position: int) -> Attributes:
         """Those of the lidar's frame, and the number of the lidar."""
@@ -99,12 +99,12 @@ class Lidars(Joined):
         return {**found, LIDAR: np.full(points, lidar, np.uint8)}
 
     @property
-    def trajectories(self) -> dict[int, PosesOverTime]:
+    def trajectories(self) -> Mapping[int, PosesOverTime]:
         """T_world_sensor over time of each lidar; only of those that know it."""
         return {
-            number: Moved(own, origin_of(lidar) - self.origin)
+            number: own
             for number, lidar in enumerate(self.parts)
-            for own in trajectories_of(lidar).values()
+            for own in lidar.trajectories.values()
         }
 
     def place(self, position: int) -> tuple[int, int]:
@@ -141,10 +141,10 @@ def _mounts(extrinsic: str | None, names: tuple[str, ...]) -> dict[str, str]:
     return parts
 
 
-def _order(lidars: tuple[Sequence, ...]) -> I64:
+def _order(lidars: tuple[Drive, ...]) -> I64:
     """Lidar and position of each frame, by time; by position if a lidar has no times."""
     rows = [np.arange(len(lidar)) for lidar in lidars]
-    stamps = [found for lidar in lidars if (found := getattr(lidar, "stamps", None)) is not None]
+    stamps = [found for lidar in lidars if (found := lidar.stamps) is not None]
     keys = stamps if len(stamps) == len(lidars) else rows
     number = np.concatenate([np.full(len(row), k) for k, row in enumerate(rows)])
     order = np.lexsort((number, np.concatenate(keys)))  # stable, first by key, then by lidar

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, F64, I64, Bool, single
 from dynaviz.contracts.attributes import Attributes, Unposed, far_origin
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, UsageError
@@ -44,7 +45,7 @@ _NEEDS_SCANS = (
 
 
 @dataclass(frozen=True, eq=False)
-class MergedMapSequence:
+class MergedMapSequence(Reader):
     """A merged map (.las .laz .pcd .ply) whose points have times, and a trajectory given with
     ``--poses``.
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.contracts.attributes import Attributes, far_origin
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError
@@ -35,7 +36,7 @@ _HINT = "Each line is a point: moveable (0 or 1), moving (0 or 1), class (-1 if 
 
 
 @dataclass(frozen=True)
-class MoeSequence:
+class MoeSequence(Reader):
     """A sequence of MOE: ``pcd/NNNNNN.pcd`` in the sensor frame, ``gt_poses.txt``, ``label``.
 
     The world frame is that of the poses. Moving points are dynamic, all others static. Sequences 05

@@ -11,6 +11,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
@@ -73,7 +74,7 @@ class Keyframe:
 
 
 @dataclass(frozen=True)
-class NuScenesSequence:
+class NuScenesSequence(Reader):
     """A scene of nuScenes: keyframes and the sweeps between them.
 
     Append the name of a scene to the path to select it: ``nuscenes/scene-0061``. The world frame

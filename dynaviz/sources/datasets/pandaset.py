@@ -13,6 +13,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64, U16
 from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
@@ -61,7 +62,7 @@ class SeenBox:
 
 
 @dataclass(frozen=True)
-class PandaSetSequence:
+class PandaSetSequence(Reader):
     """A sequence of PandaSet. The world frame has the axes of the data set, z up, and its origin at
     the sensor position of the first sweep.
 

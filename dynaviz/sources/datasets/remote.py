@@ -12,11 +12,13 @@ import os
 from pathlib import Path
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.attributes import Attributes, coordinates_of
-from dynaviz.contracts.scan import Scan, Sequence, SequenceView
+from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, MissingDependency
 from dynaviz.io.atomic import atomic_file
 from dynaviz.sources.datasets.benchmark import BenchmarkSequence
+from dynaviz.sources.derived import Derived
+from dynaviz.sources.drive import Drive
 
 CACHE = "DYNAVIZ_CACHE"
 """Environment variable: the folder for fetched files; by default ``~/.cache/dynaviz``."""
@@ -25,7 +27,7 @@ _TRUTH = "gt_cloud.pcd"
 _FACTS = "sequence.toml"
 
 
-class RemoteSequence(SequenceView):
+class RemoteSequence(Derived):
     """A folder in the layout of the public benchmark at a URL.
 
     A scan is fetched when it is read; with ground truth, all scans are fetched when the sequence is
@@ -70,11 +72,11 @@ class RemoteSequence(SequenceView):
             self._fetch(path)
         opened = BenchmarkSequence.open(self._cache)
         self._scans: dict[int, Path] = dict(sorted(scans.items()))
-        self.whole: Sequence = opened
         if _TRUTH not in others:
-            self.whole = BenchmarkSequence(
+            opened = BenchmarkSequence(
                 opened.name, opened.sensor, opened.rate, self._scans, None, opened.class_names
             )
+        self.whole = Drive.of(opened)
 
     def __reduce__(self) -> tuple[type[RemoteSequence], tuple[str]]:
         return RemoteSequence, (self.url,)
@@ -83,21 +85,15 @@ class RemoteSequence(SequenceView):
         self._fetch(list(self._scans.values())[position])
         return self.whole[position]
 
-    @property
-    def origin(self) -> F64:
-        """(3,) float64, metres: what is subtracted from all positions."""
-        origin: F64 = self.whole.origin  # type: ignore[attr-defined]
-        return origin
-
     def attributes(self, position: int) -> Attributes:
         """All fields of the file besides the coordinates."""
         self._fetch(list(self._scans.values())[position])
-        return self.whole.attributes(position)  # type: ignore[attr-defined, no-any-return]
+        return self.whole.attributes(position)
 
     def coordinates(self, position: int) -> F32 | F64 | None:
         """Those of the file."""
         self._fetch(list(self._scans.values())[position])
-        return coordinates_of(self.whole, position)
+        return self.whole.coordinates(position)
 
     def scan_file(self, index: int) -> Path | None:
         """The file of the frame with this number, on this machine."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64, single
 from dynaviz.contracts.attributes import Attributes, Unposed, far_origin
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses, UsageError
@@ -66,7 +67,7 @@ class OdometryTopic:
 
 
 @dataclass(frozen=True)
-class RosBagSequence:
+class RosBagSequence(Reader):
     """A drive in a ROS bag: .bag, .mcap, .db3 or a folder with metadata.yaml.
 
     BAG#/topic selects a cloud topic.

@@ -15,6 +15,7 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, I64, U8, U16, single
 from dynaviz.contracts.attributes import Attributes, Unposed
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses
@@ -49,7 +50,7 @@ _NO_POSES = (
 
 
 @dataclass(frozen=True)
-class ScanFolderSequence:
+class ScanFolderSequence(Reader):
     """Scans as numbered or stamped files (.bin .pcd .ply .npy .npz .las .laz) with a pose file.
 
     The poses come from ``--poses FILE``, from ``poses.txt``, ``trajectory.txt``, ``*.tum``,

@@ -15,6 +15,7 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64
 from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses
@@ -43,7 +44,7 @@ _POSE_HINT = (
 
 
 @dataclass(frozen=True)
-class SustechPointsSequence:
+class SustechPointsSequence(Reader):
     """A scene of SUSTechPOINTS: ``lidar/*.pcd`` in the sensor frame, ``label/*.json``.
 
     Poses are those of ``lidar_pose/*.json``, unless a pose file is given. Points in the box of a

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -21,16 +20,6 @@ KNOWN = (-37.0, -27.0, -19.0, -18.0, 18.0, 19.0, 27.0, 37.0)  # leap seconds, an
 FINE = np.round(np.arange(-4, 5) * 0.02, 3)  # seconds around the best one
 SAME = 0.03  # overlap by which a known delay may be worse than one near it
 POINTS = 2500  # of a scan
-
-
-@runtime_checkable
-class HasPosePath(Protocol):
-    """A sequence whose poses are interpolated by time."""
-
-    @property
-    def pose_path(self) -> PosesOverTime | None:
-        """T_world_sensor over time, in the frame of the scans; None if poses have no times."""
-        ...
 
 
 @dataclass(frozen=True)

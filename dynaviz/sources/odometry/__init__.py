@@ -3,6 +3,7 @@
 Odometries, which are plug-ins (entry point group ``dynaviz.odometries``).
 """
 
-from dynaviz.sources.odometry.estimate import EstimatedPoses, Odometry, estimate
+from dynaviz.sources.odometry.estimate import Odometry, estimate
+from dynaviz.sources.origin import EstimatedPoses
 
 __all__ = ["EstimatedPoses", "Odometry", "estimate"]

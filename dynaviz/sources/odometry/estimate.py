@@ -16,12 +16,14 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64
 from dynaviz.contracts import registry
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, stream
+from dynaviz.contracts.scan import Scan, Sequence, stream
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.odometry.pose_table import without_points, write_pose_table
 from dynaviz.sources.odometry.verify import PoseCheck, check_poses, restart_frames
+from dynaviz.sources.origin import EstimatedPoses
 from dynaviz.spatial import geometry
 from dynaviz.spatial.motion import deskewed_along, smoothed
 from dynaviz.spatial.trajectory import Trajectory
@@ -72,40 +74,6 @@ _DO_NOT_HOLD = (
 FEWEST = 4  # sweeps whose poses are checked
 FORMAT = 4  # of the cache; a change makes earlier caches invalid
 _SAMPLES = 5  # frames whose ranges are looked at
-
-
-@dataclass(frozen=True)
-class EstimatedPoses:
-    """Poses that an odometry estimated, and how.
-
-    Attributes:
-        file: CSV file with a pose per line: number or stamp in nanoseconds, and the 3x4 matrix.
-        odometry: its name.
-        version: of its package.
-        frames: number of sweeps.
-        distance: metres travelled.
-        seconds: it took to estimate them.
-        deskewed: whether the times of points were used to compensate motion.
-        key: digest of the sequence and the odometry.
-        reused: whether they were estimated by an earlier run.
-    """
-
-    file: Path
-    odometry: str
-    version: str
-    frames: int
-    distance: float
-    seconds: float
-    deskewed: bool
-    key: str
-    reused: bool = False
-
-    def __str__(self) -> str:
-        times = f"{self.seconds:.0f} s" + (", estimated by an earlier run" if self.reused else "")
-        return (
-            f"{self.odometry} {self.version}: {self.distance:.1f} m in {self.frames:,} sweeps "
-            f"({times})"
-        )
 
 
 def estimate(
@@ -228,7 +196,7 @@ def _checked(
 
     def restart() -> F64:
         rows = range(*restart_frames(len(sequence)))
-        part = SequenceSlice(sequence, rows, sequence.sensor, sequence.name)
+        part = Drive.of(sequence).chosen(rows)
         return _register(kind(reach), part, raw, path, silent).poses
 
     return check_poses(way.poses, points, restart)

@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from dynaviz.contracts import registry
-from dynaviz.contracts.attributes import Unposed
-from dynaviz.contracts.scan import Sequence, SequenceSlice, select_frames
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError, MissingDependency, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.pose_matching import NO_POSES
-from dynaviz.sources.odometry.estimate import EstimatedPoses, PosesDoNotHold, estimate
-from dynaviz.sources.odometry.reposed import ReposedSequence
+from dynaviz.sources.drive import Drive
+from dynaviz.sources.odometry.estimate import PosesDoNotHold, estimate
+from dynaviz.sources.odometry.reposed import poses_for
 from dynaviz.sources.options import SequenceOptions
+from dynaviz.sources.origin import EstimatedPoses
 
 DEFAULT = "small-gicp"
 SECOND = "kiss-icp"  # tried if the poses of the first do not hold
-
-
-@dataclass(frozen=True)
-class ChosenFrames(SequenceSlice):
-    """Frames that were chosen before their poses were estimated.
-
-    The others have no poses because nobody asked for them.
-    """
-
-    def unposed(self) -> Iterator[Unposed]:
-        """None: all chosen frames have poses."""
-        return iter(())
 
 
 def is_odometry(poses: str) -> bool:
@@ -69,7 +57,7 @@ def estimate_poses(
             f"--poses {odometry}: estimates the poses of the lidar itself; leave out --extrinsic"
         )
     own = _with_fixed_poses(source, options)
-    raw = select_frames(_raw(source, options) if own is None else own, options.frames)
+    raw = (_raw(source, options) if own is None else own).select(options.frames)
     compensate = own is None and options.deskew is not False
     place = Path("recordings") / raw.name if folder is None else folder
     try:
@@ -93,7 +81,7 @@ def _second_try(
         raise PosesDoNotHold(error.path, problem, hint=error.hint) from None
 
 
-def with_estimated(source: str | Sequence, file: Path, options: SequenceOptions) -> Sequence:
+def with_estimated(source: str | Sequence, file: Path, options: SequenceOptions) -> Drive:
     """The chosen frames of a sequence with the poses of a file that ``estimate_poses`` wrote.
 
     The stride is left out.
@@ -103,34 +91,34 @@ def with_estimated(source: str | Sequence, file: Path, options: SequenceOptions)
         file: the poses.
     """
     if (own := _with_fixed_poses(source, options)) is not None:
-        return ReposedSequence.read(select_frames(own, options.frames), file)
+        chosen = own.select(options.frames)
+        return chosen.with_poses(poses_for(chosen, file))
     assert isinstance(source, str)
-    frames = len(select_frames(_raw(source, options), options.frames))
+    frames = len(_raw(source, options).select(options.frames))
     with warnings.catch_warnings():
         # the frames that were not selected
         warnings.filterwarnings("ignore", message=".*are skipped")
         opened = open_sequence(source, poses=str(file), **options.of_format)
     # The pose at the end of the last sweep may cover the stamp of the sweep after it.
-    if len(opened) <= frames and options.frames is None:
-        return opened
-    rows = range(min(len(opened), frames))
-    return ChosenFrames(opened, rows, opened.sensor, opened.name)
+    chosen = opened.select(f":{frames}" if len(opened) > frames else None)
+    # The frames that were not selected have no poses because nobody asked for them.
+    return dataclasses.replace(chosen, selected=chosen.selected or options.frames is not None)
 
 
-def _with_fixed_poses(source: str | Sequence, options: SequenceOptions) -> Sequence | None:
+def _with_fixed_poses(source: str | Sequence, options: SequenceOptions) -> Drive | None:
     """The sequence with its own poses; None if its format reads poses from a file."""
     if not isinstance(source, str):
-        return source
+        return Drive.of(source)
     try:
         own = open_sequence(source, **options.of_format)
     except DataError:
         return None
     return (
-        None if "poses" in inspect.signature(getattr(type(own), "open", _raw)).parameters else own
+        None if "poses" in inspect.signature(getattr(own.reader, "open", _raw)).parameters else own
     )
 
 
-def _raw(source: str | Sequence, options: SequenceOptions) -> Sequence:
+def _raw(source: str | Sequence, options: SequenceOptions) -> Drive:
     """The sequence with each scan in its own frame."""
     assert isinstance(source, str)
     return open_sequence(source, poses=NO_POSES, **options.of_format)

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import time
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -21,15 +20,14 @@ import msgspec
 import numpy as np
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.attributes import Unposed, facts_of, las_file_of, origin_of, unposed_of
-from dynaviz.contracts.scan import Scan, Sequence, stream
+from dynaviz.contracts.scan import Scan, stream
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.poses import read_poses
 from dynaviz.progress import Progress, silent
+from dynaviz.sources.drive import Drive
 from dynaviz.sources.odometry.estimate import reach_of
 from dynaviz.sources.odometry.pose_table import without_points, write_pose_table
-from dynaviz.sources.odometry.reposed import ReposedSequence
 from dynaviz.sources.origin import PoseRefinement
 from dynaviz.sources.pose_noise import PoseNoiseMeter, pose_noise
 from dynaviz.sources.summary import ScanDigest
@@ -52,40 +50,7 @@ LARGEST_STEP = 0.5
 LARGEST_TURN = 3.0
 
 
-@dataclass(frozen=True)
-class RefinedSequence(ReposedSequence):
-    """A sequence with refined poses.
-
-    Attributes:
-        refinement: how far the poses moved.
-    """
-
-    refinement: PoseRefinement
-
-    @property
-    def facts(self) -> Mapping[str, str]:
-        """Further facts of the sequence."""
-        facts = facts_of(self.whole)
-        return {**facts, "poses": f"{facts.get('poses', 'of the sequence')}, refined"}
-
-    @property
-    def origin(self) -> F64:
-        """(3,) float64, metres: what was subtracted from the positions of the sequence."""
-        return origin_of(self.whole)
-
-    @property
-    def las_file(self) -> Path | None:
-        """That of the sequence, whose world frame the scans keep."""
-        return las_file_of(self.whole)
-
-    def unposed(self) -> Iterator[Unposed]:
-        """Those of the sequence."""
-        return unposed_of(self.whole)
-
-
-def refine(
-    sequence: Sequence, folder: Path | None = None, progress: Progress = silent
-) -> RefinedSequence:
+def refine(sequence: Drive, folder: Path | None = None, progress: Progress = silent) -> Drive:
     """Refine the poses of a sequence, or find those that an earlier call wrote into the same folder
     for the same data.
 
@@ -118,14 +83,14 @@ def refine(
     refined, registered = register.all(clouds, given, progress)
     moved = _moved(given, refined, registered, meter)
     if folder is not None:
-        refined = _saved(folder, refined, origin_of(sequence), frames)
-    after = pose_noise(ReposedSequence(sequence, refined))
+        refined = _saved(folder, refined, sequence.origin, frames)
+    after = pose_noise(sequence.with_poses(refined))
     moved = msgspec.structs.replace(
         moved, after=after, seconds=round(time.process_time() - start, 1)
     )
     if folder is not None:
         _save_note(folder, key, moved)
-    return RefinedSequence(sequence, refined, moved)
+    return sequence.with_refined(refined, moved)
 
 
 class Registration:
@@ -244,7 +209,7 @@ class Registration:
         )
 
 
-def _edge(sequence: Sequence) -> float:
+def _edge(sequence: Drive) -> float:
     """Edge of the voxels, metres: fine in rooms, coarse in streets."""
     sample = [sequence[k] for k in sorted({0, len(sequence) // 2, len(sequence) - 1})]
     return float(np.clip(reach_of(sample) / 80, FINEST, COARSEST))
@@ -298,7 +263,7 @@ def _save_note(folder: Path, key: str, moved: PoseRefinement) -> None:
     write_atomic(folder / "poses_refined.toml", tomli_w.dumps({"key": key, **facts}).encode())
 
 
-def refined_before(sequence: Sequence, folder: Path) -> RefinedSequence | None:
+def refined_before(sequence: Drive, folder: Path) -> Drive | None:
     """The sequence with the refined poses of a run's folder, for this sequence.
 
     None if they are not there.
@@ -307,9 +272,7 @@ def refined_before(sequence: Sequence, folder: Path) -> RefinedSequence | None:
     return _cached(folder, None, sequence, frames)
 
 
-def _cached(
-    folder: Path, key: str | None, sequence: Sequence, frames: list[Scan]
-) -> RefinedSequence | None:
+def _cached(folder: Path, key: str | None, sequence: Drive, frames: list[Scan]) -> Drive | None:
     """The sequence with the poses of an earlier call with the same key, or any key.
 
     None if there are none.
@@ -319,8 +282,8 @@ def _cached(
         moved = msgspec.convert(facts, PoseRefinement)
         if key is not None and facts.get("key") != key:
             return None
-        poses = _read(folder, origin_of(sequence), frames)
+        poses = _read(folder, sequence.origin, frames)
     except (OSError, ValueError, IndexError, DataError):
         return None
     refined = msgspec.structs.replace(moved, reused=True)
-    return RefinedSequence(sequence, poses, refined) if len(poses) == len(frames) else None
+    return sequence.with_refined(poses, refined) if len(poses) == len(frames) else None

@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 from dynaviz.arrays import Bool
-from dynaviz.contracts.attributes import Attributes, facts_of
-from dynaviz.contracts.scan import Scan, Sequence, SequenceView, select_frames
+from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.carrier import with_carrier
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.convert import Conversion, convert
+from dynaviz.sources.derived import Derived
+from dynaviz.sources.drive import Drive
 from dynaviz.synthetic.implants.cast import implant
 from dynaviz.synthetic.implants.implant_options import COUNTS, ImplantOptions, parse
 from dynaviz.synthetic.implants.implant_scene import ImplantScene
@@ -26,7 +28,7 @@ from dynaviz.synthetic.implants.space import SpaceAboveGround
 from dynaviz.synthetic.implants.survey import Survey
 
 
-class ImplantedSequence(SequenceView):
+class ImplantedSequence(Derived):
     """A sequence whose scans show movers that were not there.
 
     The static world, the noise, the poses and their errors stay those of the sequence. Scans are
@@ -45,7 +47,6 @@ class ImplantedSequence(SequenceView):
 
     layout: ClassVar[str] = "another sequence with implanted movers: implant:SEQUENCE?cars=6&seed=3"
     nested: ClassVar[bool] = True
-    exact: ClassVar[bool] = True  # they are those of the sequence, which is checked itself
 
     def __init__(
         self,
@@ -56,7 +57,7 @@ class ImplantedSequence(SequenceView):
         panel: tuple[str, ...] = (),
         static: Callable[[int], Bool] | None = None,
     ) -> None:
-        self.whole = base
+        self.whole = Drive.of(base)
         self.scene = scene
         self.lidar = lidar
         self._name = name
@@ -92,7 +93,7 @@ class ImplantedSequence(SequenceView):
         Raises:
             UsageError, DataError: as ``open``.
         """
-        base = select_frames(base, options.frames, options.stride)
+        base = Drive.of(base).select(options.frames, options.stride)
         lidar = LidarModel.measure(base)
         agreed = None
         if options.panel:
@@ -117,6 +118,11 @@ class ImplantedSequence(SequenceView):
         return self._name
 
     @property
+    def exact(self) -> bool:
+        """Always: poses and sensor are those of the sequence, which is checked itself."""
+        return True
+
+    @property
     def has_labels(self) -> bool:
         """Always: implanted points are dynamic."""
         return True
@@ -127,7 +133,7 @@ class ImplantedSequence(SequenceView):
         kinds = [mover.kind for mover in self.scene.movers]
         counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
         return {
-            **facts_of(self.whole),
+            **self.whole.facts,
             "implants": counts or "none",
             "range noise": f"{1000 * self.scene.range_noise:.0f} mm",
             "drop-outs": f"{100 * self.scene.drop_out:.1f} %",

@@ -17,10 +17,10 @@ import numpy as np
 from dynaviz.arrays import F32, U8, Bool
 from dynaviz.contracts import params, registry
 from dynaviz.contracts.metric import Labelled
-from dynaviz.contracts.scan import Sequence
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.needs import suited
 from dynaviz.progress import Progress, silent
+from dynaviz.sources.drive import Drive
 
 HALO = 0.3  # metres
 
@@ -68,7 +68,7 @@ class Votes:
         return mask
 
 
-def votes(sequence: Sequence, panel: tuple[str, ...], progress: Progress = silent) -> Votes:
+def votes(sequence: Drive, panel: tuple[str, ...], progress: Progress = silent) -> Votes:
     """Run the methods of a panel, with their default parameters, on a sequence.
 
     Raises:

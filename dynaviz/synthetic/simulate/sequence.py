@@ -13,6 +13,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F64
+from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.spatial import geometry
@@ -21,7 +22,7 @@ from dynaviz.synthetic.simulate.options import Chosen
 from dynaviz.synthetic.simulate.recording import SceneRecorder, SimulatedSweep, build
 
 
-class SimulatedSequence:
+class SimulatedSequence(Reader):
     """A preset whose sweeps are simulated when they are read.
 
     Reading a frame twice gives the same arrays.
