@@ -34,7 +34,10 @@ from griffe import Docstring, DocstringSectionAttributes
 from real_tables import methods, table
 
 from dynaviz.contracts import registry
+from dynaviz.contracts.options import options_of
 from dynaviz.diagnosis.sampling import measured
+from dynaviz.runs.options import RunOptions
+from dynaviz.sources.options import SequenceOptions
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
@@ -148,6 +151,15 @@ def protocols() -> str:
     return table(("protocol", "counts", "leaves out", "combines", "scores", "source"), rows)
 
 
+def options() -> str:
+    """The keyword arguments of Python functions that open a sequence or run a method."""
+    rows = (
+        (f"`{each.name}`", f"`{each.annotation}`", f"`{each.default!r}`", each.words)
+        for each in options_of(SequenceOptions, RunOptions)
+    )
+    return table(("keyword", "type", "default", "meaning"), rows)
+
+
 def sampling() -> str:
     """DA of each method by scans that see a place and by rings, on two drives."""
     rows = measured()
@@ -171,7 +183,7 @@ def sampling() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    each.__name__: each for each in (overview, protocols, sampling, *real_tables.TABLES)
+    each.__name__: each for each in (overview, protocols, options, sampling, *real_tables.TABLES)
 }
 
 

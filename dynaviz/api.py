@@ -10,11 +10,12 @@ import warnings
 from pathlib import Path
 from typing import Unpack
 
+from dynaviz.contracts.options import Record, check_keywords, keywords_of
 from dynaviz.engine.external import RADIUS, read_external
 from dynaviz.errors import UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.execution import run_method, score_external
-from dynaviz.runs.options import Record, SequenceRunKeywords, split
+from dynaviz.runs.options import RunOptions, SequenceRunKeywords, split
 from dynaviz.runs.reviewed import truths
 from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.summary import Comparison
@@ -24,6 +25,7 @@ from dynaviz.sources.opening import Source, open_source
 from dynaviz.sources.options import SequenceKeywords, SequenceOptions
 
 
+@keywords_of(SequenceOptions)
 def open(path: Source, **options: Unpack[SequenceKeywords]) -> Drive:
     """Open a sequence of any known format.
 
@@ -33,17 +35,18 @@ def open(path: Source, **options: Unpack[SequenceKeywords]) -> Drive:
             sequence. Or a list of ``(points, pose)`` or ``(points, pose, stamp)``: (N, 3 or more)
             metres in the sensor frame, (4, 4), ns. Or an open sequence, of which frames are
             selected.
-        options: ``frames``, ``stride``, ``sensor``, ``poses``, ``points_in``, ``deskew``,
-            ``extrinsic`` and ``refine_poses``, as ``dynaviz.sources.options.SequenceOptions``
-            describes them.
+        options: how to open it: see ``Options``.
 
     Raises:
         DataError: if the path contains no known format.
         UsageError: for invalid frames or sensors, or options that the format does not support.
+        TypeError: for an unknown keyword argument.
     """
+    check_keywords(open, options)
     return open_source(path, SequenceOptions.of(**options))
 
 
+@keywords_of(SequenceOptions, RunOptions)
 def run(
     method: str,
     sequence: Source,
@@ -61,10 +64,7 @@ def run(
         out: folder for the files of the run; None writes none.
         command: what the user typed, for the record.
         progress: called with a phase, the number of frames or tiles done and their total.
-        options: how to open the sequence, as for ``dynaviz.open``, and how to run the method:
-            ``preset``, ``config``, ``settings``, ``online``, ``seed``, ``variant``, ``threads``,
-            ``record``, ``record_budget``, ``view``, ``tiles``, ``workers``, ``scheduler`` and
-            ``maps``, as ``dynaviz.runs.options.RunOptions`` describes them.
+        options: how to open the sequence and how to run the method: see ``Options``.
 
     Returns:
         The result; printing it shows a table.
@@ -75,6 +75,7 @@ def run(
         DataError: for data that cannot be read, files that cannot be written, or a folder that
             another process writes into.
     """
+    check_keywords(run, options)
     folder = None if out is None else Path(out)
     (opening, running) = split(options)
     opened = open_source(sequence, opening.without_refinement, folder=folder, progress=progress)
@@ -89,6 +90,7 @@ def run(
     )
 
 
+@keywords_of(SequenceOptions)
 def score(
     map: str | os.PathLike[str],
     sequence: Source,
@@ -127,7 +129,7 @@ def score(
             sequence without any.
         command: what the user typed, for the record.
         progress: called with a phase, the number of frames done and their total.
-        options: how to open the sequence, as for ``dynaviz.open``.
+        options: how to open the sequence: see ``Options``.
 
     Returns:
         The result, with ``scoring`` ``nn`` (``mask`` for labels), without runtime, and with a
@@ -139,6 +141,7 @@ def score(
         DataError: for data that cannot be read, a map without points, labels of another sequence or
             for another number of points, or files that cannot be written.
     """
+    check_keywords(score, options)
     folder = None if out is None else Path(out)
     opened = open_source(sequence, SequenceOptions.of(**options), folder=folder, progress=progress)
     if not opened.has_labels and review is None:

@@ -16,24 +16,15 @@ from typing import Any, get_args
 
 from dynaviz.benchmarking.plan import BenchPlan, ParameterSet, SearchSpec, SequenceSpec, variant
 from dynaviz.contracts import params, registry
+from dynaviz.contracts.options import Record, options_of
 from dynaviz.contracts.registry import suggest
 from dynaviz.errors import UsageError
-from dynaviz.scores.result import RecordMode
 from dynaviz.sources.datasets import is_sequence
 from dynaviz.sources.opening import absolute
 from dynaviz.sources.options import SequenceOptions
 
-RECORDS = (*get_args(RecordMode), "none")
-_OPENING: dict[str, Any] = {
-    "frames": str,
-    "stride": int,
-    "sensor": str,
-    "poses": str,
-    "points_in": str,
-    "deskew": bool,
-    "extrinsic": str,
-    "refine_poses": bool,
-}
+RECORDS = get_args(Record)
+_OPENING: dict[str, Any] = {each.name: each.plain for each in options_of(SequenceOptions)}
 KEYS: dict[str, dict[str, Any]] = {
     "bench": {
         "methods": list,

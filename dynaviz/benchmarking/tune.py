@@ -18,6 +18,7 @@ from dynaviz.benchmarking.leaderboard import BenchRow, Leaderboard
 from dynaviz.benchmarking.runner import BenchCallbacks
 from dynaviz.benchmarking.search import default_ranges
 from dynaviz.contracts import registry
+from dynaviz.contracts.options import check_keywords, keywords_of
 from dynaviz.contracts.params import read_toml
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
@@ -100,6 +101,7 @@ class Tuned:
         return table
 
 
+@keywords_of(SequenceOptions)
 def tune(
     sequence: str | os.PathLike[str],
     method: str,
@@ -133,7 +135,7 @@ def tune(
             default.
         workers: number of parallel runs.
         callbacks, progress: receive the progress of the runs, and of what comes before.
-        options: how to open the sequence, as for ``dynaviz.open``.
+        options: how to open the sequence: see ``Options``.
 
     Raises:
         UsageError: for an unknown method, an invalid range, or a folder that contains a search with
@@ -141,6 +143,7 @@ def tune(
         DataError: for a sequence that cannot be read.
         MissingDependency: if optuna is not installed.
     """
+    check_keywords(tune, options)
     registry.load("methods", method)
     if seeds < 1 or holdout < 1:
         raise UsageError(f"seeds = {seeds}, holdout = {holdout}: give at least 1")

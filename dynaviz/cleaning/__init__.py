@@ -19,6 +19,7 @@ from dynaviz.cleaning.followed import Reviewed
 from dynaviz.cleaning.map_settings import MapSettings
 from dynaviz.cleaning.reviewing import Review, run_of
 from dynaviz.cleaning.trajectory import UsedPoses
+from dynaviz.contracts.options import check_keywords, keywords_of
 from dynaviz.contracts.registry import BEST
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.cleaned_map import Judgement, region_is_empty, write_maps
@@ -26,10 +27,11 @@ from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.execution import run_method
-from dynaviz.runs.options import SequenceRunKeywords, split
+from dynaviz.runs.options import RunOptions, SequenceRunKeywords, split
 from dynaviz.scores.labels import reasons_by_frame
 from dynaviz.sources.drive import Drive
 from dynaviz.sources.opening import Source, open_source
+from dynaviz.sources.options import SequenceOptions
 from dynaviz.sources.sensing import estimate_sensor, sentence
 
 __all__ = ["Cleaned", "Review", "clean"]
@@ -37,6 +39,7 @@ __all__ = ["Cleaned", "Review", "clean"]
 AUTOWARE = "autoware"  # a layout of divided maps
 
 
+@keywords_of(SequenceOptions, RunOptions)
 def clean(
     sequence: Source,
     out: str | os.PathLike[str],
@@ -88,6 +91,7 @@ def clean(
     Raises:
         UsageError, DataError, MissingDependency: as ``open`` and ``run``.
     """
+    check_keywords(clean, options)
     if (run := run_of(sequence)) is not None:
         if changed or method != BEST or set(options) - {"review"}:
             raise UsageError(

@@ -13,14 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynaviz.cli.console import is_quiet, program, progress, show
-from dynaviz.cli.options import (
-    DEFAULTS,
-    SEQUENCE,
-    Quiet,
-    RecordModeOption,
-    Review,
-    takes,
-)
+from dynaviz.cli.options import DEFAULTS, SEQUENCE, Quiet, Review, takes
+from dynaviz.contracts.options import Record
 
 if TYPE_CHECKING:
     from dynaviz.benchmarking.leaderboard import Leaderboard
@@ -79,7 +73,7 @@ def bench(
         bool, typer.Option("--resume/--fresh", help="Keep finished runs, or run all again.")
     ] = True,
     record: Annotated[
-        RecordModeOption | None,
+        Record | None,
         typer.Option(help="How much to record in each run.rrd. [default: errors]"),
     ] = None,
     grid: Annotated[
@@ -151,14 +145,14 @@ def bench(
     table = {
         key: value for key, value in table.items() if key not in _overridden(timing, scheduler)
     }
-    opening = {name: value for name, value in options.items() if value != DEFAULTS.get(name)}
+    opening = {name: value for name, value in options.items() if value != DEFAULTS[name]}
     table |= _given(
         methods=methods,
         sequences=sequences,
         opening=opening,
         workers=workers,
         timing=timing,
-        record=record and record.value,
+        record=record,
         holdout=holdout,
         seeds=_seeds(seed, seeds),
         review=review and str(review),

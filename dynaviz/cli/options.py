@@ -7,33 +7,19 @@ import inspect
 import shlex
 import sys
 from collections.abc import Callable, Collection, Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import set_quiet
+from dynaviz.contracts.options import options_of
 from dynaviz.errors import UsageError
+from dynaviz.runs.options import MethodOptions, RunOptions
+from dynaviz.sources.options import SequenceOptions
 
 if TYPE_CHECKING:
     from dynaviz.sources.drive import Drive
-
-
-class PointFrame(StrEnum):
-    """Coordinate frames of stored points."""
-
-    sensor = "sensor"
-    world = "world"
-
-
-class RecordModeOption(StrEnum):
-    """How much a recording contains."""
-
-    full = "full"
-    errors = "errors"
-    scores = "scores"
-    none = "none"
 
 
 def plugin_names(kind: str) -> Callable[[str], list[str]]:
@@ -72,153 +58,56 @@ Method = Annotated[
         autocompletion=method_names,
     ),
 ]
-Record = Annotated[RecordModeOption, typer.Option(help="How much to record in run.rrd.")]
-Threads = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Threads for kernels. [default: all cores]")
-]
 Moved = Annotated[
     str | None,
     typer.Option("--sequence", metavar="SEQ", help="Sequence of the run, if it has moved."),
 ]
-Review = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Decisions of a person (review.json), which ground truth and maps follow.",
-    ),
-]
+_COMPLETIONS = {"sensor": sensor_completions, "preset": preset_completions}
 
-SEQUENCE: dict[str, Any] = {
-    "frames": Annotated[
-        str | None, typer.Option(metavar="A:B", help="Use only these frames, as in a Python slice.")
-    ],
-    "stride": Annotated[int, typer.Option(metavar="N", help="Use every N-th frame.")],
-    "sensor": Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE.toml",
-            help="Sensor, if the data do not define it; see 'dynaviz list sensors'.",
-            autocompletion=sensor_completions,
-        ),
-    ],
-    "poses": Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|small-gicp",
-            help="Sensor poses: a KITTI, TUM or CSV file, or an odometry that estimates them. For "
-            "a bag also a topic "
-            "or TF frame.",
-        ),
-    ],
-    "refine_poses": Annotated[
-        bool,
-        typer.Option(
-            "--refine-poses", help="Register each scan to the scans around it to refine its pose."
-        ),
-    ],
-    "points_in": Annotated[
-        PointFrame | None,
-        typer.Option(help="Coordinate frame of the stored points. [default: sensor]"),
-    ],
-    "deskew": Annotated[
-        bool | None,
-        typer.Option(
-            "--deskew/--no-deskew",
-            help="Compensate the motion during each sweep. [default: deskew]",
-        ),
-    ],
-    "extrinsic": Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,Z,ROLL,PITCH,YAW",
-            help="Pose of the lidar on the vehicle, or a file with it, if the poses are those of "
-            "the vehicle.",
-        ),
-    ],
-}
-"""Options of commands that open a sequence, by field of ``SequenceOptions``."""
 
-METHOD: dict[str, Any] = {
-    "preset": Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Published parameter set; see 'dynaviz list presets'.",
-            autocompletion=preset_completions,
-        ),
-    ],
-    "config": Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="TOML file with parameters, such as config.toml of a run."
-        ),
-    ],
-    "settings": Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable."),
-    ],
-    "seed": Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Random seed of the method. [default: 0]")
-    ],
-    "threads": Threads,
-}
-"""Options of commands that start a method, by field of ``MethodOptions``."""
+def _table(kind: type) -> dict[str, Any]:
+    """The options that a dataclass declares, as those of a command, by name."""
+    return {
+        each.name: Annotated[
+            each.text.typed or each.kind,
+            typer.Option(
+                *each.text.flags,
+                help=each.text.help,
+                metavar=each.text.metavar,
+                min=each.text.least,
+                autocompletion=_COMPLETIONS.get(each.name),
+            ),
+        ]
+        for each in options_of(kind)
+    }
 
-RUN: dict[str, Any] = {
-    **METHOD,
-    "online": Annotated[
-        bool | None,
-        typer.Option(
-            "--online/--offline",
-            help="Label each scan as soon as it is observed, or all scans at the end. [default: "
-            "offline]",
-        ),
-    ],
-    "variant": Annotated[
-        str, typer.Option(metavar="NAME", help="Name of the parameter set, for tables.")
-    ],
-    "record": Record,
-    "record_budget": Annotated[
-        str | None,
-        typer.Option(
-            metavar="SIZE",
-            help="Maximum size of the recordings, such as 2GB; the states of the method are left "
-            "out first.",
-        ),
-    ],
-    "view": Annotated[bool, typer.Option("--view", help="Show the run live in the viewer.")],
-    "tiles": Annotated[
-        str | None,
-        typer.Option(
-            metavar="METRES",
-            help="Divide the map into squares of this size, for drives of any length.",
-        ),
-    ],
-    "workers": Annotated[
-        int, typer.Option(min=1, metavar="N", help="Number of tiles that run at a time.")
-    ],
-    "scheduler": Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS", help="Run the tiles on the workers of this Dask scheduler."
-        ),
-    ],
-    "maps": Annotated[
-        bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")
-    ],
-    "review": Review,
-}
-"""Options of commands that run a method on a sequence, by field of ``RunOptions``."""
+
+SEQUENCE = _table(SequenceOptions)
+"""Options of commands that open a sequence."""
+
+METHOD = _table(MethodOptions)
+"""Options of commands that start a method."""
+
+RUN = _table(RunOptions)
+"""Options of commands that run a method on a sequence."""
+
+if TYPE_CHECKING:
+    Record = str
+    Review = Path | None
+    Threads = int | None
+else:
+    Record = RUN["record"]
+    Review = RUN["review"]
+    Threads = RUN["threads"]
 
 COMMON = ("frames", "poses", "settings", "record", "sensor", "preset")
 """Listed before the others in the help of a command."""
 
-DEFAULTS: dict[str, Any] = {
-    "stride": 1, "refine_poses": False, "variant": "", "record": RecordModeOption.errors,
-    "view": False, "workers": 1,
-    "maps": True,
-}  # fmt: skip
-"""Defaults other than None."""
+DEFAULTS = {
+    each.name: each.default or None if each.name == "settings" else each.default
+    for each in options_of(SequenceOptions, RunOptions)
+}
+"""Their defaults; None for no settings."""
 
 
 def takes(
@@ -250,7 +139,7 @@ def takes(
             inspect.Parameter(
                 name,
                 inspect.Parameter.KEYWORD_ONLY,
-                default=DEFAULTS.get(name),
+                default=DEFAULTS[name],
                 annotation=annotation,
             )
             for name, annotation in wanted.items()
@@ -274,8 +163,6 @@ def refuse(options: Mapping[str, Any], what: str) -> None:
 
 def _plain(name: str, value: Any) -> Any:
     """An option's value as Python functions take it."""
-    if isinstance(value, StrEnum):
-        return value.value
     return tuple(value or ()) if name == "settings" else value
 
 

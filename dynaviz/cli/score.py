@@ -14,7 +14,6 @@ from dynaviz.cli.options import (
     Moved,
     Quiet,
     Record,
-    RecordModeOption,
     Review,
     Threads,
     refuse,
@@ -65,7 +64,7 @@ def score(
         ),
     ] = None,
     review: Review = None,
-    record: Record = RecordModeOption.errors,
+    record: Record = "errors",
     threads: Threads = None,
     moved: Moved = None,
     json: Json = None,
@@ -116,11 +115,11 @@ def score(
             name=name,
             key=key,
             out=folder,
-            record=record.value,
+            record=record,
             threads=threads,
             review=review,
             command=typed_command(),
             progress=report,
         )
     if not print_json(result.to_dict(), json):
-        show(result, written(folder, record is not RecordModeOption.none))
+        show(result, written(folder, record != "none"))

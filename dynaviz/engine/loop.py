@@ -23,6 +23,7 @@ from dynaviz.contracts.at_sensor import AtSensor, unjudged
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import AT_SENSOR, Context, Labeller, Labels, Method
 from dynaviz.contracts.metric import Figure, Labelled, Metric
+from dynaviz.contracts.options import RecordMode
 from dynaviz.contracts.plugin_code import plugin
 from dynaviz.contracts.probe import SILENT, MemoryProbe, Probe
 from dynaviz.contracts.scan import Scan, Sequence, stream
@@ -33,7 +34,7 @@ from dynaviz.progress import Progress, silent
 from dynaviz.scores.account import PointAccount
 from dynaviz.scores.answers import RunAnswers
 from dynaviz.scores.labels import RunLabels
-from dynaviz.scores.result import RecordMode, Result, environment
+from dynaviz.scores.result import Result, environment
 from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
 from dynaviz.sources.drive import Drive
 from dynaviz.sources.origin import PoseFinding

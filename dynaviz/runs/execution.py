@@ -20,6 +20,7 @@ import msgspec
 from dynaviz.contracts import registry
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Labelled, Metric
+from dynaviz.contracts.options import Record, RecordMode
 from dynaviz.contracts.probe import SILENT, Probe
 from dynaviz.engine.external import External
 from dynaviz.engine.loop import Listener, RunSpec, execute, of_one_scan
@@ -30,11 +31,11 @@ from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
 from dynaviz.progress import Progress, silent
 from dynaviz.reviews.decisions import Decisions
-from dynaviz.runs.options import Record, RunOptions
+from dynaviz.runs.options import RunOptions
 from dynaviz.runs.reviewed import ReviewOfRun
 from dynaviz.runs.tiles.grid import TileCounts
 from dynaviz.runs.tiles.label_tiles import TileOptions, label_tiles
-from dynaviz.scores.result import RecordMode, Result
+from dynaviz.scores.result import Result
 from dynaviz.sources.drive import Drive
 from dynaviz.sources.odometry.refine import refine
 from dynaviz.sources.origin import PoseFinding

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal, TypedDict
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypedDict
 
 from dynaviz.contracts import params, registry
+from dynaviz.contracts.options import Record, option
 from dynaviz.errors import UsageError
-from dynaviz.scores.result import RecordMode
 from dynaviz.sources.options import SequenceKeywords, SequenceOptions
 
-Record = Literal[RecordMode, "none"]
 Settings = Iterable[str] | Mapping[str, Any]
 
 
@@ -50,20 +50,38 @@ class SequenceRunKeywords(SequenceKeywords, RunKeywords, total=False):
 
 @dataclass(frozen=True)
 class MethodOptions:
-    """With which parameters a method starts.
+    """With which parameters a method starts; ``dynaviz.contracts.params.resolve`` joins them."""
 
-    Attributes:
-        preset, config, settings: layers of parameters (``dynaviz.contracts.params.resolve``);
-            settings may be a dictionary.
-        seed: for all randomness in the method.
-        threads: for kernels; None for all cores.
-    """
-
-    preset: str | None = None
-    config: str | os.PathLike[str] | None = None
-    settings: Settings = ()
-    seed: int | None = None
-    threads: int | None = None
+    preset: str | None = field(
+        default=None,
+        metadata=option("Published parameter set; see 'dynaviz list presets'.", metavar="NAME"),
+    )
+    config: str | os.PathLike[str] | None = field(
+        default=None,
+        metadata=option(
+            "TOML file with parameters, such as config.toml of a run.",
+            metavar="FILE",
+            typed=Path | None,
+        ),
+    )
+    settings: Settings = field(
+        default=(),
+        metadata=option(
+            "Set one parameter. Repeatable.",
+            more="In Python: several texts such as 'resolution=0.2', or a dictionary.",
+            metavar="KEY=VALUE",
+            flags=("--set",),
+            typed=list[str] | None,
+        ),
+    )
+    seed: int | None = field(
+        default=None,
+        metadata=option("Random seed of the method. [default: 0]", metavar="N", least=0),
+    )
+    threads: int | None = field(
+        default=None,
+        metadata=option("Threads for kernels. [default: all cores]", metavar="N", least=1),
+    )
 
     def __post_init__(self) -> None:
         if self.seed is not None and self.seed < 0:
@@ -84,35 +102,76 @@ class RunOptions(MethodOptions):
     """How a method runs on a sequence.
 
     Every verb that runs one takes all of these, under the same names.
-
-    Attributes:
-        online: label each scan right after it was observed, instead of after all scans.
-        variant: a short name for the parameter set, for tables.
-        record: how much the recording ``run.rrd`` contains (``recordings/README.md``); or the path
-            of an ``.rrd`` file, which records in the mode ``errors``, with or without a folder.
-        record_budget: size of the recordings together, bytes or text such as ``2GB``: states are
-            left out first, then drawn points; the labels of all points are always recorded. None
-            for any size.
-        view: show the run in a viewer while it is running.
-        tiles: edge of the squares into which the map is divided, metres; None runs it as a whole.
-            Needs a folder. An interrupted run continues with the tiles that are missing.
-        workers: number of tiles that run at a time, each in its own process.
-        scheduler: address of a Dask scheduler whose workers run the tiles instead.
-        maps: write ``static_map.pcd`` and ``dynamic_points.pcd``.
-        review: a file with decisions (``docs/review.md``), which maps and ground truth follow. The
-            labels stay those of the method.
     """
 
-    online: bool | None = None
-    variant: str = ""
-    record: Record | str | os.PathLike[str] = "errors"
-    record_budget: int | str | None = None
-    view: bool = False
-    tiles: float | str | None = None
-    workers: int = 1
-    scheduler: str | None = None
-    maps: bool = True
-    review: str | os.PathLike[str] | None = None
+    online: bool | None = field(
+        default=None,
+        metadata=option(
+            "Label each scan as soon as it is observed, or all scans at the end. [default: "
+            "offline]",
+            flags=("--online/--offline",),
+        ),
+    )
+    variant: str = field(
+        default="", metadata=option("Name of the parameter set, for tables.", metavar="NAME")
+    )
+    record: Record | str | os.PathLike[str] = field(
+        default="errors",
+        metadata=option(
+            "How much to record in run.rrd.",
+            more="Or the path of an .rrd file, which records in the mode 'errors', with or without "
+            "a folder.",
+            typed=Record,
+        ),
+    )
+    record_budget: int | str | None = field(
+        default=None,
+        metadata=option(
+            "Maximum size of the recordings, such as 2GB; the states of the method are left out "
+            "first.",
+            more="Drawn points are next; the labels of all points are always recorded.",
+            metavar="SIZE",
+            typed=str | None,
+        ),
+    )
+    view: bool = field(
+        default=False, metadata=option("Show the run live in the viewer.", flags=("--view",))
+    )
+    tiles: float | str | None = field(
+        default=None,
+        metadata=option(
+            "Divide the map into squares of this size, for drives of any length.",
+            more="Needs a folder. An interrupted run continues with the tiles that are missing.",
+            metavar="METRES",
+            typed=str | None,
+        ),
+    )
+    workers: int = field(
+        default=1,
+        metadata=option(
+            "Number of tiles that run at a time.",
+            more="Each has its own process.",
+            metavar="N",
+            least=1,
+        ),
+    )
+    scheduler: str | None = field(
+        default=None,
+        metadata=option("Run the tiles on the workers of this Dask scheduler.", metavar="ADDRESS"),
+    )
+    maps: bool = field(
+        default=True,
+        metadata=option("Write static_map.pcd and dynamic_points.pcd.", flags=("--map/--no-map",)),
+    )
+    review: str | os.PathLike[str] | None = field(
+        default=None,
+        metadata=option(
+            "Decisions of a person (review.json), which ground truth and maps follow.",
+            more="The labels stay those of the method.",
+            metavar="FILE",
+            typed=Path | None,
+        ),
+    )
 
     @property
     def tile_size(self) -> float | None:

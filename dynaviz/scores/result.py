@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 _NOT_IN_FILE = {"sections", "answers"}  # sections are spread over the top level
-RecordMode = Literal["full", "errors", "scores"]  # how much a recording contains
 _REASONS = 3  # in a row of a table
 _HINT = "Give the result.json of a run"
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any, TypedDict, Unpack
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, TypedDict, Unpack
+
+from dynaviz.contracts.options import option
 
 
 class SequenceKeywords(TypedDict, total=False):
@@ -23,34 +25,68 @@ class SequenceKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class SequenceOptions:
-    """How to open a sequence. Every verb that opens one takes all of these, under the same names.
+    """How to open a sequence.
 
-    Attributes:
-        frames: ``A:B``, positions as in a Python slice.
-        stride: use every N-th frame.
-        sensor: name of the sensor, if the data do not name it or are wrong (``dynaviz list
-            sensors``), or a TOML file.
-        poses: for folders of scans, bags and arrays: a file with the sensor's poses (KITTI, TUM,
-            CSV); for bags also a topic, or the TF frame to use as the world frame. For every
-            format: ``small-gicp`` or another odometry, which estimates them once and keeps them in
-            the folder of the run, or in ``recordings/SEQUENCE``.
-        points_in: for folders, bags and arrays: ``sensor`` or ``world``, the frame of the stored
-            points.
-        deskew: for bags: False disables motion compensation of sweeps whose points have times.
-        extrinsic: for folders, bags and arrays whose poses are those of a vehicle: the pose of the
-            lidar on it, ``X,Y,Z,ROLL,PITCH,YAW`` in metres and degrees, or a file with one pose.
-        refine_poses: register each scan to the scans around it (open3d), and use the refined poses.
-            They are kept in the folder of the run as ``poses_refined.csv``.
+    Every verb that opens one takes all of these, under the same names.
     """
 
-    frames: str | None = None
-    stride: int = 1
-    sensor: str | None = None
-    poses: str | None = None
-    points_in: str | None = None
-    deskew: bool | None = None
-    extrinsic: str | None = None
-    refine_poses: bool = False
+    frames: str | None = field(
+        default=None,
+        metadata=option("Use only these frames, as in a Python slice.", metavar="A:B"),
+    )
+    stride: int = field(default=1, metadata=option("Use every N-th frame.", metavar="N"))
+    sensor: str | None = field(
+        default=None,
+        metadata=option(
+            "Sensor, if the data do not define it; see 'dynaviz list sensors'.",
+            more="A name, or a TOML file. It also replaces one that the data state wrongly.",
+            metavar="NAME|FILE.toml",
+        ),
+    )
+    poses: str | None = field(
+        default=None,
+        metadata=option(
+            "Sensor poses: a KITTI, TUM or CSV file, or an odometry that estimates them. For a bag "
+            "also a topic or TF frame.",
+            more="Estimated poses are kept in the folder of the run, or in recordings/SEQUENCE. "
+            "For scans given as arrays also an array, (frames, 4, 4).",
+            metavar="FILE|small-gicp",
+            accepts="str | os.PathLike[str] | None",
+        ),
+    )
+    points_in: str | None = field(
+        default=None,
+        metadata=option(
+            "Coordinate frame of the stored points. [default: sensor]",
+            more="For folders, bags and arrays: 'sensor' or 'world'.",
+            typed=Literal["sensor", "world"] | None,
+        ),
+    )
+    deskew: bool | None = field(
+        default=None,
+        metadata=option(
+            "Compensate the motion during each sweep. [default: deskew]",
+            more="For bags whose points have times.",
+            flags=("--deskew/--no-deskew",),
+        ),
+    )
+    extrinsic: str | None = field(
+        default=None,
+        metadata=option(
+            "Pose of the lidar on the vehicle, or a file with it, if the poses are those of the "
+            "vehicle.",
+            more="In metres and degrees; for folders, bags and arrays.",
+            metavar="X,Y,Z,ROLL,PITCH,YAW",
+        ),
+    )
+    refine_poses: bool = field(
+        default=False,
+        metadata=option(
+            "Register each scan to the scans around it to refine its pose.",
+            more="Needs open3d. The poses are kept in the folder of the run as poses_refined.csv.",
+            flags=("--refine-poses",),
+        ),
+    )
 
     @classmethod
     def of(cls, **keywords: Unpack[SequenceKeywords]) -> SequenceOptions:

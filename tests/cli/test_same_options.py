@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+import pydoc
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +15,15 @@ import pytest
 import typer
 
 import dynaviz as dv
+from dynaviz.benchmarking.plan_file import KEYS
 from dynaviz.cli import app, main
+from dynaviz.contracts.options import options_of
 from dynaviz.runs import execution, playback
 from dynaviz.runs.options import (
     MethodKeywords,
     MethodOptions,
     RunKeywords,
     RunOptions,
-    SequenceRunKeywords,
 )
 from dynaviz.sources import opening
 from dynaviz.sources.options import SequenceKeywords, SequenceOptions
@@ -118,13 +121,49 @@ def test_options_and_keywords_have_the_same_names() -> None:
         (MethodOptions, MethodKeywords),
         (RunOptions, RunKeywords),
     ):
-        assert {each.name for each in dataclasses.fields(options)} == set(
-            keywords.__annotations__
-        ) | (set(MethodKeywords.__annotations__) if keywords is RunKeywords else set())
+        written = {each.name: each.annotation for each in options_of(options)}
+        inherited = MethodKeywords.__annotations__ if keywords is RunKeywords else {}
+        typed = {**inherited, **keywords.__annotations__}
+        assert written == {name: kind.__forward_arg__ for name, kind in typed.items()}
     assert SEQUENCE.keys() == {each.name for each in dataclasses.fields(SequenceOptions)}
     assert RUN.keys() == {each.name for each in dataclasses.fields(RunOptions)}
     defaults = SequenceOptions()
     assert all(getattr(defaults, name) != value for name, value in SEQUENCE.items())
+
+
+def test_options_of_bench_files_are_those_of_opening() -> None:
+    assert KEYS["opening"].keys() == SequenceKeywords.__annotations__.keys()
+    assert all(isinstance(SEQUENCE[name], kind) for name, kind in KEYS["opening"].items())
+
+
+VERBS = {
+    dv.open: (SequenceOptions,),
+    dv.score: (SequenceOptions,),
+    dv.tune: (SequenceOptions,),
+    dv.run: (SequenceOptions, RunOptions),
+    dv.clean: (SequenceOptions, RunOptions),
+}
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.__name__)
+def test_help_shows_every_keyword_with_type_and_default(verb: Any) -> None:
+    shown = pydoc.plain(pydoc.render_doc(verb))
+    for kind in VERBS[verb]:
+        for each in dataclasses.fields(kind):
+            name = each.name
+            assert re.search(rf"\b{name}: '[^']+' = {re.escape(repr(each.default))}[,)]", shown)
+            assert re.search(rf"^ +{name}: [A-Z]", shown, re.M), "with what it does"
+    assert "**options" not in shown
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.__name__)
+def test_a_mistyped_keyword_is_suggested(verb: Any, tmp_path: Path) -> None:
+    given = inspect.signature(verb).parameters.values()
+    required = {each.name: "octomap" for each in given if each.default is each.empty}
+    with pytest.raises(TypeError) as caught:
+        verb(**required, refine_pose=True)
+    problem = f"{verb.__name__}() has no keyword argument 'refine_pose'"
+    assert str(caught.value) == f"{problem}. Did you mean 'refine_poses'?"
 
 
 def test_every_command_is_listed_here() -> None:
@@ -202,8 +241,6 @@ def test_python_verbs_that_run_a_method_take_all_options(
 
     for module in ("dynaviz.api", "dynaviz.cleaning"):
         monkeypatch.setattr(f"{module}.run_method", ran)
-    annotation = inspect.signature(verb).parameters["options"].annotation
-    assert "SequenceRunKeywords" in str(annotation), SequenceRunKeywords
     given = ("octomap", SCANS) if verb is dv.run else (SCANS, "m.pcd")
     with pytest.raises(Seen) as found:
         verb(*given, **RUN)

@@ -21,13 +21,14 @@ from dynaviz.arrays import U8
 from dynaviz.contracts import registry
 from dynaviz.contracts.extent import CELL
 from dynaviz.contracts.method import Context, Halo, Labels, Tileable
+from dynaviz.contracts.options import RecordMode
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.tiles.grid import Tile, TileGrid, unpacked
 from dynaviz.runs.tiles.index import SequenceIndex, indexed
 from dynaviz.runs.tiles.tile import DYNAMIC, NEAR, AnswersHead, TileCodes, TileFrames, TileTask
-from dynaviz.scores.result import RecordMode, environment
+from dynaviz.scores.result import environment
 from dynaviz.scores.sections import Runtime, Tiling
 from dynaviz.sources.drive import Drive
 from dynaviz.tasks.local import InThisProcess, LocalExecutor

@@ -20,6 +20,7 @@ from dynaviz.contracts.attributes import Attributes, Unposed
 from dynaviz.contracts.extent import CELL, GrowingExtent
 from dynaviz.contracts.method import Halo
 from dynaviz.contracts.metric import Figure, Labelled, Metric
+from dynaviz.contracts.options import RecordMode
 from dynaviz.contracts.scan import Scan, stream
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import DataError
@@ -28,7 +29,7 @@ from dynaviz.io.npy import open_npy
 from dynaviz.progress import Progress
 from dynaviz.runs.tiles.grid import Tile, TileGrid
 from dynaviz.runs.tiles.index import SequenceIndex
-from dynaviz.scores.result import RecordMode, Result
+from dynaviz.scores.result import Result
 from dynaviz.scores.sections import Runtime
 from dynaviz.sources.derived import Derived
 from dynaviz.sources.drive import Drive

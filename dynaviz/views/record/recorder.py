@@ -18,6 +18,7 @@ from dynaviz import colours
 from dynaviz.arrays import F32, F64, I64, Bool, Intp
 from dynaviz.contracts.evidence import Asked
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
+from dynaviz.contracts.options import RecordMode
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.engine.loop import Listener, RunSpec
@@ -29,7 +30,7 @@ from dynaviz.explain.repeat import repeat
 from dynaviz.explain.sample import Draw, Drawn, Witnesses, enters
 from dynaviz.io.atomic import sha256
 from dynaviz.scores.comparison import frame_answers
-from dynaviz.scores.result import RecordMode, Result, environment
+from dynaviz.scores.result import Result, environment
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.views import cases, classes, keys, paths, viewer
 from dynaviz.views.background import Background
