@@ -26,7 +26,14 @@ from dynaviz.engine.label_folder import NoParams
 from dynaviz.engine.loop import RunSpec
 from dynaviz.errors import UsageError
 from dynaviz.progress import Progress
-from dynaviz.runs.execution import budget_of, metrics_of, recording_of, run_method, run_spec
+from dynaviz.runs.execution import (
+    RunPlan,
+    budget_of,
+    metrics_of,
+    recording_of,
+    run,
+    run_method,
+)
 from dynaviz.runs.options import RunOptions
 from dynaviz.scores.labels import reasons_by_frame
 from dynaviz.scores.result import Result
@@ -224,7 +231,7 @@ def find_changes(
         folder=folder,
         recording=recording,
     )
-    result = run_spec(spec, progress, maps=False, budget=budget_of(options))
+    result = run(RunPlan(spec, maps=False, budget=budget_of(options)), progress)
     files = [
         replace(
             file,

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 import numpy as np
@@ -57,9 +57,22 @@ class Reviewing(Protocol):
         ...
 
 
+@runtime_checkable
+class LabelledEarlier(Labeller, Protocol):
+    """The labels that a method gave in an earlier step, as those of tiles.
+
+    Attributes:
+        Params: of the method.
+        runtime: its cost.
+    """
+
+    Params: type[Any]
+    runtime: Runtime
+
+
 @dataclass(frozen=True)
-class RunSpec:
-    """What to run.
+class LoopInput:
+    """What the loop needs.
 
     Attributes:
         labeller: a fresh method, which already has its parameters; or the output of another
@@ -69,15 +82,7 @@ class RunSpec:
         metrics: fresh metrics.
         online: ask for labels right after each scan was observed.
         seed: for all randomness in the method.
-        variant: a short name for the parameter set, for tables.
-        preset, parameter_origins: where the parameters come from, as in ``Result``.
         threads: for kernels; None for all cores.
-        command: what the user typed, for the record.
-        scoring: how labels are assigned to points: ``mask`` or ``nn`` (``eval/README.md``).
-        pose_findings: what is likely wrong with the poses of the sequence, for the result.
-        record: how much the recording contains; None without one.
-        folder: for the files of the run; None if it writes none.
-        recording: its file; None if there is none.
         summary: of the sequence if it is known, which saves a pass over it.
         review: decisions that ground truth and maps follow; labels do not.
     """
@@ -88,17 +93,8 @@ class RunSpec:
     metrics: tuple[Metric, ...] = ()
     online: bool = False
     seed: int = 0
-    variant: str = ""
-    preset: str | None = None
-    parameter_origins: Mapping[str, str] = field(default_factory=dict)
     threads: int | None = None
-    command: str = ""
-    scoring: str = "mask"
-    record: RecordMode | None = None
-    folder: Path | None = None
-    recording: Path | None = None
     summary: SequenceSummary | None = None
-    pose_findings: tuple[PoseFinding, ...] = ()
     review: Reviewing | None = None
 
     @property
@@ -113,6 +109,37 @@ class RunSpec:
         None for another program's output.
         """
         return self.labeller if isinstance(self.labeller, Method) else None
+
+    @property
+    def of_method(self) -> bool:
+        """Whether the labels are those of a method, now or earlier, and not another program's."""
+        return isinstance(self.labeller, Method | LabelledEarlier)
+
+
+@dataclass(frozen=True)
+class RunSpec(LoopInput):
+    """What to run, and what its result and its files state about it.
+
+    Attributes:
+        variant: a short name for the parameter set, for tables.
+        preset, parameter_origins: where the parameters come from, as in ``Result``.
+        command: what the user typed, for the record.
+        scoring: how labels are assigned to points: ``mask`` or ``nn`` (``eval/README.md``).
+        pose_findings: what is likely wrong with the poses of the sequence, for the result.
+        record: how much the recording contains; None without one.
+        folder: for the files of the run; None if it writes none.
+        recording: its file; None if there is none.
+    """
+
+    variant: str = ""
+    preset: str | None = None
+    parameter_origins: Mapping[str, str] = field(default_factory=dict)
+    command: str = ""
+    scoring: str = "mask"
+    pose_findings: tuple[PoseFinding, ...] = ()
+    record: RecordMode | None = None
+    folder: Path | None = None
+    recording: Path | None = None
 
 
 class Listener:
@@ -129,6 +156,10 @@ class Listener:
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """After a scan was labelled; curves are the metrics' values at this frame."""
+
+    def sections(self) -> Mapping[str, Any]:
+        """Further sections of the result, by name; called once, after the last frame."""
+        return {}
 
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
         """After the last frame."""
@@ -170,7 +201,6 @@ def execute(
     listeners: Iterable[Listener] = (),
     probe: Probe = SILENT,
     progress: Progress = silent,
-    more: Callable[[], Mapping[str, Any]] = dict,
 ) -> Result:
     """Label a sequence, score the labels, and notify the listeners.
 
@@ -179,7 +209,6 @@ def execute(
         listeners: recordings and other outputs, called in this order.
         probe: receives the method's states; use ``SILENT`` for an honest timing.
         progress: called after each frame of each phase.
-        more: called at the end for further sections of the result, by name.
 
     Returns:
         The result; ``instrumented`` says whether states were recorded.
@@ -243,11 +272,15 @@ def execute(
                 step(frame, scan)
 
     # Before the metrics finish: the memory they need then is not the method's.
-    runtime = (
-        clock.runtime(threads) if method else getattr(labeller, "runtime", Runtime(frames=total))
-    )
+    runtime = Runtime(frames=total)
+    if method:
+        runtime = clock.runtime(threads)
+    elif isinstance(labeller, LabelledEarlier):
+        runtime = labeller.runtime
     updates.look()
-    sections = msgspec.structs.replace(_sections(run.metrics), **more())
+    sections = _sections(run.metrics)
+    for listener in listeners:
+        sections = msgspec.structs.replace(sections, **listener.sections())
     labels = RunLabels(answer.packed(), np.array(counts, np.int64))
     unposed = sum(each.number for each in run.drive.unposed())
     judged = sum(counts) - not_finite
@@ -270,7 +303,7 @@ def execute(
 
 
 def labelled_by(
-    run: RunSpec, near: AtSensor, frame: int, scan: Scan, call: Callable[[Scan], Any]
+    run: LoopInput, near: AtSensor, frame: int, scan: Scan, call: Callable[[Scan], Any]
 ) -> Labelled:
     """A scan with the labels that a call returns for the scan as methods receive it.
 
@@ -290,7 +323,7 @@ def labelled_by(
 Step = Callable[[int, Scan], None]
 
 
-def _passes(run: RunSpec, observe: Step, label: Step) -> list[list[Step]]:
+def _passes(run: LoopInput, observe: Step, label: Step) -> list[list[Step]]:
     """What happens to each scan, pass by pass."""
     if run.method is None:
         return [[label]]
@@ -373,13 +406,13 @@ def _result(
         pose_refinement=run.drive.refinement,
         pose_findings=run.pose_findings,
         origin=run.drive.provenance,
-        plugin=plugin("methods", name) if hasattr(run.labeller, "Params") else None,
+        plugin=plugin("methods", name) if run.of_method else None,
         account=account,
         answers=answers,
     )
 
 
-def context_of(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
+def context_of(run: LoopInput, summary: SequenceSummary, probe: Probe) -> Context:
     """What a method is given before the first scan.
 
     Raises:
@@ -404,14 +437,14 @@ def context_of(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
     return Context(summary.extent, run.sequence.sensor, probe, run.seed, raw_map)
 
 
-def of_one_scan(run: RunSpec, probe: Probe = SILENT) -> tuple[Scan, Context]:
+def of_one_scan(run: LoopInput, probe: Probe = SILENT) -> tuple[Scan, Context]:
     """The first scan, as methods receive it, and the context of a run on this scan only."""
     scan, _ = AtSensor(run.sequence.sensor).hidden(run.sequence[0])
     raw_map = scan.points if run.labeller.info.needs_map else None
     return scan, Context(Extent.of(scan), run.sequence.sensor, probe, run.seed, raw_map)
 
 
-def _warm_up(method: Method, run: RunSpec, probe: Probe) -> None:
+def _warm_up(method: Method, run: LoopInput, probe: Probe) -> None:
     """Run a copy of the method on one scan, so that loading and compiling of kernels counts in no
     frame's time.
     """

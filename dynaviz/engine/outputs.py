@@ -156,7 +156,7 @@ def write_summary(folder: Path, run: RunSpec, result: Result) -> None:
 
     The output of another program has no ``config.toml``.
     """
-    if hasattr(run.labeller, "Params"):
+    if run.of_method:
         settings = {"online": run.online, "seed": run.seed}
         write_atomic(folder / "config.toml", to_toml(result.method, run.params, settings))
     result.save(folder / "result.json")

@@ -8,14 +8,12 @@ from __future__ import annotations
 import contextlib
 import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast, get_args
-
-import msgspec
+from typing import TYPE_CHECKING, cast, get_args
 
 from dynaviz.contracts import registry
 from dynaviz.contracts.method import MethodInfo
@@ -26,7 +24,7 @@ from dynaviz.engine.external import External
 from dynaviz.engine.loop import Listener, RunSpec, execute, of_one_scan
 from dynaviz.engine.needs import suited
 from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutputs, write_summary
-from dynaviz.engine.source_check import SourceCheck, source_check
+from dynaviz.engine.source_check import source_check
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
 from dynaviz.progress import Progress, silent
@@ -42,6 +40,9 @@ from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 from dynaviz.sources.summary import SequenceSummary, summarize
 from dynaviz.views.record.quota import parse_bytes
+
+if TYPE_CHECKING:
+    from dynaviz.views.record.recorder import Recorder
 
 
 @dataclass(frozen=True)
@@ -128,19 +129,23 @@ def run_method(
         summary=survey.summary if survey else None,
         review=review.applied if review else None,
     )
-    budget = budget_of(options)
-    if (size := options.tile_size) is not None:
-        tiles = TileOptions(size, options.workers, options.scheduler, budget)
-        result = _run_tiles(spec, tiles, options.maps, progress, review)
+    tiles = None
+    if options.tile_size is not None:
+        tiles = TileOptions(options.tile_size, options.workers, options.scheduler)
     elif options.workers != 1 or options.scheduler:
         raise UsageError("workers and scheduler run tiles: give tiles=METRES, too")
-    else:
-        late = None if survey or refine_poses else partial(Surveyed.of, given, progress)
-        result = run_spec(
-            spec, progress, view=options.view, maps=options.maps, budget=budget, survey=late,
-            review=review,
-        )  # fmt: skip
-    _warn_of_size(recording, result, budget)
+    early = survey is not None or refine_poses or tiles is not None
+    plan = RunPlan(
+        spec,
+        view=options.view and tiles is None,
+        maps=options.maps,
+        budget=budget_of(options),
+        tiles=tiles,
+        survey=None if early else partial(Surveyed.of, given, progress),
+        listeners=() if review is None else (review,),
+    )
+    result = run(plan, progress)
+    _warn_of_size(recording, result, plan.budget)
     return result
 
 
@@ -175,7 +180,9 @@ def score_external(
         recording=recording,
         review=decided.applied if decided else None,
     )
-    return run_spec(spec, progress, check=source_check(external), review=decided)
+    listeners = (source_check(external), decided)
+    plan = RunPlan(spec, listeners=tuple(each for each in listeners if each is not None))
+    return run(plan, progress)
 
 
 def review_of(
@@ -219,81 +226,78 @@ def recording_of(
     )
 
 
-def run_spec(
-    spec: RunSpec,
-    progress: Progress = silent,
-    *,
-    view: bool = False,
-    maps: bool = True,
-    budget: int | None = None,
-    check: SourceCheck | None = None,
-    survey: Callable[[], Surveyed] | None = None,
-    review: ReviewOfRun | None = None,
-) -> Result:
-    """Run and write all files; each appears only when it is complete, ``result.json`` last.
+@dataclass(frozen=True)
+class RunPlan:
+    """A run, and what it writes.
 
-    Args:
+    Attributes:
         spec: what to run; its folder is locked meanwhile.
-        progress: called with a phase, the number of frames done and their total.
         view: show the recording in a viewer while it is written.
         maps: whether to write maps.
-        budget: bytes of the recording; None for any size.
-        check: of another program's output.
-        survey: surveys the sequence, which the run would do itself otherwise.
-        review: counts the decisions of a person.
+        budget: bytes of all recordings; None for any size.
+        tiles: how to run it tile by tile; None as a whole.
+        survey: surveys the sequence, which the loop would do itself otherwise.
+        listeners: notified before those that write files.
     """
-    with _locked(spec):
-        if survey is not None:
-            found = survey()
-            spec = replace(spec, summary=found.summary, pose_findings=found.findings)
-        parts = [each for each in (check, review) if each is not None]
-        return _run(spec, progress, view, maps, budget, parts, _sections_of(parts))
+
+    spec: RunSpec
+    view: bool = False
+    maps: bool = True
+    budget: int | None = None
+    tiles: TileOptions | None = None
+    survey: Callable[[], Surveyed] | None = None
+    listeners: tuple[Listener, ...] = ()
 
 
-def _sections_of(parts: Iterable[SourceCheck | ReviewOfRun]) -> Callable[[], Mapping[str, Any]]:
-    """What gives the sections of some listeners at the end of a run."""
-    return lambda: {name: found for part in parts for name, found in part.sections().items()}
+def run(plan: RunPlan, progress: Progress = silent) -> Result:
+    """Run a plan and write all files; each appears only when it is complete, ``result.json`` last.
 
-
-def _locked(spec: RunSpec) -> contextlib.AbstractContextManager[Any]:
-    return locked(spec.folder, spec.command) if spec.folder else contextlib.nullcontext()
-
-
-def _run(
-    spec: RunSpec,
-    progress: Progress,
-    view: bool,
-    maps: bool,
-    budget: int | None,
-    others: Iterable[Listener],
-    more: Callable[[], Mapping[str, Any]],
-) -> Result:
-    """Run in a locked folder; the other listeners are notified first."""
-    folder = spec.folder
-    recorder = None
-    probe: Probe = SILENT
-    with contextlib.ExitStack() as files:
-        listeners: list[Listener] = [*others]
+    Args:
+        plan: what to run and to write.
+        progress: called with a phase, the number of frames or tiles done and their total.
+    """
+    folder = plan.spec.folder
+    with locked(folder, plan.spec.command) if folder else contextlib.nullcontext():
+        if plan.survey is not None:
+            found = plan.survey()
+            spec = replace(plan.spec, summary=found.summary, pose_findings=found.findings)
+            plan = replace(plan, spec=spec)
+        if plan.tiles is not None:
+            plan = _tiled(plan, plan.tiles, progress)
+        spec = plan.spec
+        recorder = None
+        probe: Probe = SILENT
+        with contextlib.ExitStack() as files:
+            listeners = [*plan.listeners, *_writers(plan, files)]
+            if spec.recording is not None:
+                recorder = files.enter_context(_recorder(plan, spec.recording))
+                listeners.append(recorder)
+                # one of scores shows no states, so the runtime stays honest
+                probe = SILENT if spec.record == "scores" else recorder
+            result = execute(spec, [*listeners, _Forgetting()], probe, progress)
+        if recorder is not None:
+            result = result.recorded_as(recorder.sha256())
         if folder is not None:
-            listeners.append(RemoveStaleOutputs(folder, spec.recording, maps))
-            listeners.append(files.enter_context(LabelsFile(folder)))
-            if maps:
-                listeners.append(files.enter_context(MapFiles(folder, spec.drive.origin)))
-        if spec.recording is not None:
-            from dynaviz.views.record.recorder import Recorder
-
-            mode = spec.record or "errors"
-            recorder = files.enter_context(Recorder(spec.recording, mode, live=view, budget=budget))
-            listeners.append(recorder)
-            # it shows no states, so the runtime stays honest
-            probe = SILENT if mode == "scores" else recorder
-        listeners.append(_Forgetting())
-        result = execute(spec, listeners, probe, progress, more)
-    if recorder is not None:
-        result = result.recorded_as(recorder.sha256())
-    if folder is not None:
-        write_summary(folder, spec, result)
+            write_summary(folder, spec, result)
     return result
+
+
+def _writers(plan: RunPlan, files: contextlib.ExitStack) -> list[Listener]:
+    """What writes labels and maps into the folder of a run."""
+    folder = plan.spec.folder
+    if folder is None:
+        return []
+    writers: list[Listener] = [RemoveStaleOutputs(folder, plan.spec.recording, plan.maps)]
+    writers.append(files.enter_context(LabelsFile(folder)))
+    if plan.maps:
+        writers.append(files.enter_context(MapFiles(folder, plan.spec.drive.origin)))
+    return writers
+
+
+def _recorder(plan: RunPlan, file: Path) -> Recorder:
+    from dynaviz.views.record.recorder import Recorder
+
+    return Recorder(file, plan.spec.record or "errors", live=plan.view, budget=plan.budget)
 
 
 class _Forgetting(Listener):
@@ -311,46 +315,41 @@ class _Forgetting(Listener):
             self._run.method.begin(of_one_scan(self._run)[1])
 
 
-def _run_tiles(
-    spec: RunSpec,
-    options: TileOptions,
-    maps: bool,
-    progress: Progress,
-    review: ReviewOfRun | None,
-) -> Result:
-    """Run every tile, then score and record the labels of all as those of one run."""
+def _tiled(plan: RunPlan, options: TileOptions, progress: Progress) -> RunPlan:
+    """Run every tile; the rest of the plan scores and records the labels of all as those of one
+    run.
+    """
+    spec = plan.spec
     folder = spec.folder
     if folder is None:
         raise UsageError("tiles need out=FOLDER, which keeps the answers of finished tiles")
     drawn = spec.record not in (None, "scores")
     # of the recordings of tiles, and of that of the whole run
-    share = options.budget and options.budget // 2
-    with _locked(spec):
-        labeller = label_tiles(
-            folder,
-            type(spec.labeller),
-            spec.params,
-            spec.drive,
-            replace(options, budget=share if drawn else None),
-            online=spec.online,
-            seed=spec.seed,
-            record=spec.record if drawn else None,
-            progress=progress,
-        )
-        whole = replace(spec, labeller=labeller, summary=labeller.summary)
-        counts = TileCounts(options.size)
-        others: list[Listener] = [counts, *([review] if review else [])]
-        if drawn:
-            from dynaviz.views.record.overview import Overview
+    share = plan.budget and plan.budget // 2
+    labeller = label_tiles(
+        folder,
+        type(spec.labeller),
+        spec.params,
+        spec.drive,
+        replace(options, budget=share if drawn else None),
+        online=spec.online,
+        seed=spec.seed,
+        record=spec.record if drawn else None,
+        progress=progress,
+    )
+    counts = TileCounts(labeller.tiling)
+    listeners: list[Listener] = [counts, *plan.listeners]
+    if drawn:
+        from dynaviz.views.record.overview import Overview
 
-            others.append(Overview(folder / "overview.rrd", counts))
-        budget = share if drawn else options.budget
-
-        def tiling() -> Mapping[str, Any]:
-            found = review.sections() if review else {}
-            return {**found, "tiling": msgspec.structs.replace(labeller.tiling, tile=counts.rows())}
-
-        return _run(whole, progress, False, maps, budget, others, tiling)
+        listeners.append(Overview(folder / "overview.rrd", counts))
+    return replace(
+        plan,
+        spec=replace(spec, labeller=labeller, summary=labeller.summary),
+        budget=share if drawn else plan.budget,
+        tiles=None,
+        listeners=tuple(listeners),
+    )
 
 
 def _overwritten(path: Path) -> list[Path]:

@@ -27,7 +27,7 @@ from dynaviz.contracts.probe import (
 from dynaviz.contracts.scan import Outcome, Scan, Sequence
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.progress import Progress, silent
-from dynaviz.runs.execution import run_spec
+from dynaviz.runs.execution import RunPlan, run
 from dynaviz.scores.result import Result
 from dynaviz.views.record.recorder import Recorder
 
@@ -149,7 +149,7 @@ def run_into(
     files: dict[str, Any] = (
         {"recording": folder / "run.rrd", "record": "errors"} if recorded else {}
     )
-    return run_spec(guess_run(sequence, folder=folder, **files, **changes), progress)
+    return run(RunPlan(guess_run(sequence, folder=folder, **files, **changes)), progress)
 
 
 def record(sequence: Sequence, path: Path, mode: Any = "errors", **changes: Any) -> Path:

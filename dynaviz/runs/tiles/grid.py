@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from dynaviz.arrays import F64, I64, Intp
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.engine.loop import Listener
-from dynaviz.scores.sections import TileRow
+from dynaviz.scores.sections import TileRow, Tiling
 
 Tile = tuple[int, int]
 """Column and row: tile (i, j) spans [i, i + 1) * size in x and [j, j + 1) * size in y."""
@@ -111,15 +113,16 @@ class TileCounts(Listener):
     """Counts points by tile and outcome; memory grows with the number of tiles only.
 
     Args:
-        size: edge of a tile, metres.
+        tiling: of the run, without its counts.
 
     Attributes:
         outcomes: (6,) int64 numbers of points by ``Outcome``, of each tile with points.
     """
 
-    def __init__(self, size: float) -> None:
-        self.size = size
-        self._grid = TileGrid(size)
+    def __init__(self, tiling: Tiling) -> None:
+        self.size = tiling.size_m
+        self._tiling = tiling
+        self._grid = TileGrid(self.size)
         self.outcomes: dict[Tile, I64] = {}
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
@@ -131,6 +134,10 @@ class TileCounts(Listener):
         )
         for tile, count in zip(map(unpacked, tiles.tolist()), counts, strict=True):
             self.outcomes[tile] = self.outcomes.get(tile, 0) + count
+
+    def sections(self) -> Mapping[str, Any]:
+        """The tiling with the counts."""
+        return {"tiling": msgspec.structs.replace(self._tiling, tile=self.rows())}
 
     def rows(self) -> tuple[TileRow, ...]:
         """The counts for the result, by column and row."""
