@@ -24,12 +24,13 @@ from dynaviz.diagnosis.precision import check_precision
 from dynaviz.diagnosis.sampling import looks as looks_at_places
 from dynaviz.diagnosis.sampling import sampling
 from dynaviz.diagnosis.scans import ScanChecker
-from dynaviz.diagnosis.units import FACTORS, check_units
+from dynaviz.diagnosis.units import check_units, unusual_size
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.in_memory import ArraySequence
 from dynaviz.sources.drive import Drive
+from dynaviz.sources.hypotheses.sizes import FACTORS
 from dynaviz.sources.hypotheses.views import ScanView, comparable
 from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
@@ -272,6 +273,12 @@ def _unreadable(errors: list[DataError]) -> Iterator[Finding]:
         )
 
 
+def _not_compared(checker: ScanChecker) -> list[Finding]:
+    """Why scans cannot be compared: points that are far from the sensor."""
+    size = unusual_size(checker.read, checker.with_points)
+    return list(checker.outside_finding()) or ([size] if size else [])
+
+
 _MISSING = (
     "Give the sensor's poses: --poses FILE for files:PATH, or VIEWPOINT in PCD files. --poses "
     "small-gicp estimates them"
@@ -307,7 +314,9 @@ def _check_alignment(
     views = groups.views(pairs[::2] if quick and len(pairs) == GROUPS else pairs, progress)
     others = lambda: groups.views(groups.pairs(skipped=1), progress)  # noqa: E731
     near = lambda: groups.views(groups.pairs_apart(2), progress)  # noqa: E731
-    if explained := better_interpretation(views, others):
+    if not views and (apart := _not_compared(checker)):
+        yield from apart
+    elif explained := better_interpretation(views, others):
         yield rivals.weighed(*explained, views, near, groups.few.pose_path)
     elif up := next(upright.check_up(views, checker.poses), None):
         yield rivals.weighed(None, up, views, near, None) if up.name in UPS else up

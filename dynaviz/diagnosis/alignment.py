@@ -66,13 +66,18 @@ class Interpretation:
     pose: Pose
 
 
+SENSOR_FRAME = Interpretation(
+    "points in sensor frame",
+    "points are in the sensor frame, not in the world frame",
+    "Read them with files:PATH --points-in sensor, or write T_world_sensor @ points to the files",
+    lambda T: T,
+    lambda T: T,
+)
+
+
 def _interpretations() -> tuple[Interpretation, ...]:
     frames = (
-        Interpretation("points in sensor frame", "points are in the sensor frame, not in the world "
-        "frame",
-                       "Read them with files:PATH --points-in sensor, or write T_world_sensor @ "
-                       "points to the files",
-                       lambda T: T, lambda T: T),
+        SENSOR_FRAME,
         Interpretation("points in world frame", "points are already in the world frame, but were "
         "transformed again",
                        "Read them with files:PATH --points-in "

@@ -13,11 +13,11 @@ from dynaviz.arrays import F32, F64
 from dynaviz.contracts.attributes import Attributes
 from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.scans import ScanChecker
-from dynaviz.diagnosis.units import LONG_STEPS
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress
 from dynaviz.sources.derived import Derived
 from dynaviz.sources.drive import Drive
+from dynaviz.sources.hypotheses.sizes import LONG_STEPS
 from dynaviz.sources.hypotheses.views import MAX_APART, ScanView, apart, around, comparable
 
 GROUPS = 6  # of frames, spread over the sequence; a pair of each is compared

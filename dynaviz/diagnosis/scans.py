@@ -14,6 +14,7 @@ import numpy as np
 from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.contracts.extent import FAR
 from dynaviz.contracts.scan import Label, Scan
+from dynaviz.diagnosis.alignment import SENSOR_FRAME
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
 from dynaviz.sources.drive import Drive
 from dynaviz.spatial import geometry
@@ -169,6 +170,12 @@ def outside(stats: ScanStatistics) -> float:
     )
 
 
+def _around_zero(stats: ScanStatistics, origin: F64) -> bool:
+    """Whether the points are around zero although the world's origin (3,) was moved far away."""
+    low, high = stats.box
+    return bool(origin.any() and (low <= -origin).all() and (-origin <= high).all())
+
+
 def _share(hits: Bool) -> float:
     return float(hits.mean()) if len(hits) else 0.0
 
@@ -274,6 +281,7 @@ class ScanChecker:
         self._occurrences = [Occurrences() for _ in CHECKS]
         self._label_counts: I64 = np.zeros(256, np.int64)
         self._outside = Occurrences()
+        self._around_zero = 0
         self._before: Scan | None = None
 
     def check(self, position: int, scan: Scan) -> None:
@@ -287,6 +295,7 @@ class ScanChecker:
             self._label_counts += np.bincount(scan.labels, minlength=256)
         if (gap := outside(stats)) > 0:
             self._outside.add(scan.index, gap)
+            self._around_zero += _around_zero(stats, self.sequence.origin)
         self.positions.append(position)
         self.indices.append(scan.index)
         self.stamps.append(scan.stamp_ns)
@@ -326,6 +335,14 @@ class ScanChecker:
             problem = (
                 f"the sensor's position is up to {self._outside.worst:,.0f} m outside its own cloud"
             )
+            if 2 * self._around_zero > self._outside.count:
+                yield Finding(
+                    SENSOR_FRAME.name,
+                    Confidence.LIKELY,
+                    f"{SENSOR_FRAME.problem}: {problem}, which is around zero",
+                    SENSOR_FRAME.fix,
+                )
+                return
             fix = (
                 "Give poses and points in the same world frame, positions in metres; 'dynaviz "
                 "info' shows the extent"

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.finding import Confidence, Finding
+from dynaviz.sources.hypotheses.sizes import FACTORS, FAR_POINTS, LONG_STEPS, median_range
 from dynaviz.sources.hypotheses.views import ScanView, comparable, hidden, pairs
 
-FAR_POINTS = 250.0  # metres; scans whose median range is larger may have another unit
-LONG_STEPS = 20.0  # metres; median way between two frames
 USUAL = 1.2, 60.0  # metres; median range of a scan in metres
+SMALLEST = 0.3  # metres; median range of a scan that is measured by a lidar, at least
 USUAL_STEP = 6.0  # metres; median way between two frames
-FACTORS = {"millimetres": 1000.0, "centimetres": 100.0}
 MIN_OVERLAP = 0.25  # share of a scan that must overlap the other after the correction
 
 Read = Callable[[int], Scan]
@@ -69,8 +68,7 @@ def check_units(
     """
     if not rows:
         return None
-    shown = [read(rows[k]) for k in np.unique(np.linspace(0, len(rows) - 1, 3).astype(int))]
-    reach = float(np.median([_reach(scan.points, scan.position) for scan in shown]))
+    reach = _usual_reach(read, rows)
     step = _step(positions, poses)
     if reach < FAR_POINTS and step < LONG_STEPS:
         return None
@@ -107,10 +105,33 @@ def check_units(
     )
 
 
+def unusual_size(read: Read, rows: Sequence[int]) -> Finding | None:
+    """A finding if scans that cannot be compared are too large or too small for metres.
+
+    Args:
+        read: reads the scan of a row; rows: of scans with finite points.
+    """
+    reach = _usual_reach(read, rows) if len(rows) > 1 else 1.0
+    if SMALLEST <= reach < FAR_POINTS:
+        return None
+    problem = (
+        f"the points of a scan are {reach:,.3g} m from the sensor in the median, so scans cannot "
+        "be compared, and nobody can tell whether poses fit"
+    )
+    return Finding(
+        "unusual size", Confidence.LIKELY, problem, "Give points and positions in metres"
+    )
+
+
+def _usual_reach(read: Read, rows: Sequence[int]) -> float:
+    """Median range of the points of three scans, given units."""
+    shown = [read(rows[k]) for k in np.unique(np.linspace(0, len(rows) - 1, 3).astype(int))]
+    return float(np.median([_reach(scan.points, scan.position) for scan in shown]))
+
+
 def _reach(points: Points, position: F64) -> float:
     """Median range of the finite points, given units."""
-    finite = points[np.isfinite(points).all(1)]
-    return float(np.median(np.linalg.norm(finite - position, axis=1))) if len(finite) else 0.0
+    return median_range(points.astype(np.float64) - position)
 
 
 def _extent(points: Points) -> float:

@@ -8,7 +8,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -131,6 +131,16 @@ class PoseFile:
         lidar = np.zeros(len(self), np.int64) if self.lidar is None else self.lidar
         return {number: np.flatnonzero(lidar == number) for number in np.unique(lidar).tolist()}
 
+    def most_upright(self) -> tuple[str, PoseFile]:
+        """The only reading in which sensors are upright, and its name; otherwise the first one,
+        without a name.
+        """
+        upright = {name: each for name, each in self.readings.items() if _upright(each)}
+        if len(upright) != 1:
+            return "", self
+        name = next(iter(upright))
+        return name, replace(self, poses=upright[name], readings={})
+
 
 def read_poses(path: str | os.PathLike[str]) -> PoseFile:
     """Read a pose file. The format is detected from the first line.
@@ -220,10 +230,15 @@ def _may_be_w_first(poses: F64) -> bool:
     steps = np.diff(poses[:, :3, 3], axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     moving = lengths > max(0.02, 0.1 * float(np.median(lengths))) if len(lengths) else lengths > 0
-    if not moving.any() or (poses[:, 2, 2] > UPRIGHT).mean() < MOST:
+    if not moving.any() or not _upright(poses):
         return True
     forwards = (steps * poses[:-1, :3, 0]).sum(1)[moving] / lengths[moving]
     return float(np.median(forwards)) < UPRIGHT
+
+
+def _upright(poses: F64) -> bool:
+    """Whether the z axes of nearly all poses (N, 4, 4) point up."""
+    return bool((poses[:, 2, 2] > UPRIGHT).mean() >= MOST)
 
 
 def _last_row(rows: Rows) -> bool:

@@ -10,6 +10,7 @@ most one fault. It must be read rightly, to 5 cm, or a finding or an error must 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import sys
 import tempfile
@@ -453,12 +454,16 @@ def main() -> int:
     parser.add_argument("-n", type=int, default=300, help="number of situations")
     parser.add_argument("-s", type=int, default=0, help="first seed")
     parser.add_argument("-j", type=int, default=2, help="processes")
+    parser.add_argument("--fault", choices=["", *FAULTS], help="only situations with this fault")
     parser.add_argument("--show", action="store_true", help="list what is neither right nor named")
     arguments = parser.parse_args()
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")  # one per process
     matrix: dict[str, Counter[str]] = defaultdict(Counter)
     with ProcessPoolExecutor(arguments.j) as pool:
-        seeds = range(arguments.s, arguments.s + arguments.n)
-        for situation, kind, words in pool.map(_outcome, seeds, chunksize=8):
+        drawn = map(Situation.drawn, range(arguments.s, arguments.s + arguments.n))
+        wanted = arguments.fault
+        seeds = [each.seed for each in drawn if wanted is None or each.fault == wanted]
+        for situation, kind, words in pool.map(_outcome, seeds, chunksize=4):
             matrix[situation.fault or "none"][kind] += 1
             if kind in (SILENT, ELSE) or (arguments.show and kind == CANNOT_TELL):
                 print(f"{kind}: {situation}: {words[:220]}", flush=True)

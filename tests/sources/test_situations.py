@@ -23,6 +23,19 @@ def test_what_programs_write_is_read_rightly(seed: int) -> None:
     assert situation.outcome(check=seed % QUICK == 0) == (RIGHT, ""), situation
 
 
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(1040, id="points of the sensor, said to be in a world far away"),
+        pytest.param(1057, id="millimetres, and quaternions with w first"),
+        pytest.param(1292, id="points of the sensor, said to be in the world, with w first"),
+    ],
+)
+def test_two_doubts_at_once_are_named(seed: int) -> None:
+    situation = Situation.drawn(seed)
+    assert situation.outcome()[0] == NAMED, situation
+
+
 @pytest.mark.parametrize("fault", MEASURED)
 def test_a_fault_is_read_rightly_or_named(fault: str) -> None:
     situation = Situation.drawn(SEEDS[fault][0])

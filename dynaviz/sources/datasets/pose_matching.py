@@ -19,6 +19,7 @@ from dynaviz.errors import DataError, UsageError
 from dynaviz.io.poses import PoseFile, read_poses
 from dynaviz.sources.hypotheses import clocks
 from dynaviz.sources.hypotheses.judge import Points, Reading, judge, near_zero
+from dynaviz.sources.hypotheses.sizes import in_smaller_units
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import PosesOverTime, Trajectory
 
@@ -107,16 +108,21 @@ def match_poses(
             f"has the poses of {several} lidars",
             hint="Give those of one, or the merged map of all",
         )
+    if points is None:
+        name, poses = poses.most_upright()
+        matched = _matched(poses, scans, stamps, numbers, None)
+        read = f"; read as x y z {name}, with which the sensor is upright" if name else ""
+        return replace(matched, description=f"{matched.description}{read}")
     turns: dict[str, MatchedPoses] = {}
     errors = []
-    for name, each in poses.readings.items() if points is not None else ():
+    for name, each in poses.readings.items():
         try:
             turns[name] = _matched(replace(poses, poses=each), scans, stamps, numbers, points)
         except DataError as error:
             errors.append(error)
     if errors and not turns:
         raise errors[0]
-    if not turns or points is None:
+    if not turns:
         return _matched(poses, scans, stamps, numbers, points)
     if len(turns) == 1:
         return next(iter(turns.values()))
@@ -190,13 +196,15 @@ def _tried(
         common = list(next(iter(readings.values())).positions)
     rows = {name: np.searchsorted(each.positions, common) for name, each in readings.items()}
     own = lambda k: points(common[k])  # noqa: E731
-    verdict = judge(
-        {
-            name: near_zero(Reading(each.poses[rows[name]], own))
-            for name, each in readings.items()
-            if len(rows[name]) == len(common)
-        }
-    )
+    tried = {
+        name: near_zero(Reading(each.poses[rows[name]], own))
+        for name, each in readings.items()
+        if len(rows[name]) == len(common)
+    }
+    verdicts = [judge(tried)]
+    if not verdicts[0].sure:
+        verdicts += [judge(each) for each in in_smaller_units(tried)]
+    verdict = next((each for each in verdicts if each.sure), verdicts[0])
     if not verdict.sure:
         hint = (
             "Say it in the file: a header line such as # time x y z qx qy qz qw, or times on the "
