@@ -58,7 +58,8 @@ def convert(
 
     With --labels: one file per frame, NNNNNN.label with the frame number, and one uint32 per point
     in the order of the sequence: 9 for static and 251 for moving, as in SemanticKITTI's moving
-    object segmentation task.
+    object segmentation task, with the decisions of the run's review.json; 0 where a person could
+    not tell. The upper 16 bits number the object, and boxes.csv has its box in each frame.
 
     An interrupted download resumes. The archive is verified, unpacked and deleted.
     DYNAVIZ_DOWNLOAD_URL sets the address of a mirror that serves NAME.zip.
@@ -98,7 +99,7 @@ def _write_labels(run: str, out: Path, sequence: str | None) -> None:
         frames, moving = export_labels(run, out, sequence, report)
     show(
         f"Written to {out}: {frames:,} frames, {moving:,} points moving (251), all others static "
-        "(9)."
+        "(9), or undecided (0); boxes of objects in boxes.csv."
     )
 
 

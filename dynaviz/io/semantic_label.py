@@ -39,14 +39,20 @@ def read_semantic_labels(path: str | os.PathLike[str], points: int) -> tuple[U16
     return pairs[:, 0], pairs[:, 1]
 
 
-def write_semantic_labels(path: str | os.PathLike[str], classes: U16) -> None:
-    """Write the labels of a sweep atomically, without instances.
+def write_semantic_labels(
+    path: str | os.PathLike[str], classes: U16, instances: U16 | None = None
+) -> None:
+    """Write the labels of a sweep atomically.
 
     Args:
         path: the file.
         classes: (points,) uint16, the lower 16 bits.
+        instances: (points,) uint16, the upper 16 bits; None for 0.
 
     Raises:
         DataError: if the file cannot be written.
     """
-    write_atomic(path, classes.astype("<u4").tobytes())
+    values = classes.astype("<u4")
+    if instances is not None:
+        values |= instances.astype("<u4") << 16
+    write_atomic(path, values.tobytes())

@@ -164,7 +164,7 @@ def _kept_objects(places: SeenPlaces) -> Bool:
     if not len(rows):
         return found
     cell = places.cell[places.place[rows]]
-    objects = _joined(np.zeros(len(rows), np.int32), cell // JOIN)
+    objects = joined(np.zeros(len(rows), np.int32), cell // JOIN)
     order = np.argsort(objects, kind="stable")
     starts = np.flatnonzero(np.diff(objects[order], prepend=-1))
     low = np.minimum.reduceat(cell[order], starts)
@@ -247,7 +247,7 @@ def _found(places: SeenPlaces, answered: Answer, chosen: Bool) -> list[_Found]:
     rows = np.flatnonzero(chosen)
     if not len(rows):
         return []
-    objects = _joined(places.frame[rows], places.cell[places.place[rows]] // JOIN)
+    objects = joined(places.frame[rows], places.cell[places.place[rows]] // JOIN)
     own = places.kept if answered == "kept" else places.removed
     other = places.removed if answered == "kept" else places.kept
     points = np.bincount(objects, own[rows]).astype(np.int64)
@@ -262,7 +262,7 @@ def _found(places: SeenPlaces, answered: Answer, chosen: Bool) -> list[_Found]:
     return found
 
 
-def _joined(frame: I32, cell: I32) -> I64:
+def joined(frame: I32, cell: I32) -> I64:
     """(N,) object of each row: cells that touch in a frame, or from one frame to the next."""
     at = np.column_stack([frame, cell]).astype(np.int64)
     at -= at.min(0) - 1

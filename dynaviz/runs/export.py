@@ -1,22 +1,34 @@
-"""Export the labels of a run as SemanticKITTI label files."""
+"""Export the labels of a run, with the decisions of a person, as SemanticKITTI label files."""
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 
 import numpy as np
 
-from dynaviz.contracts.scan import stream
-from dynaviz.io.atomic import atomic_folder
+from dynaviz.arrays import F64, U8, U16, Bool
+from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.scan import Scan, stream
+from dynaviz.io.atomic import atomic_folder, write_atomic
 from dynaviz.io.semantic_label import write_semantic_labels
 from dynaviz.progress import Progress, silent
+from dynaviz.reviews.applying import UNDECIDED, Applied
+from dynaviz.reviews.objects import box_around, numbered
+from dynaviz.runs.reviewed import decisions_of
 from dynaviz.runs.run import open_run
 from dynaviz.sources.opening import Source
 from dynaviz.sources.summary import summarize
 
 # classes of SemanticKITTI's moving object segmentation task
+UNLABELLED = 0
 STATIC = 9
 MOVING = 251
+BOXES = "boxes.csv"
+COLUMNS = (
+    "frame", "stamp_ns", "instance", "points", "x", "y", "z", "length", "width", "height", "yaw",
+)  # fmt: skip
 
 
 def export_labels(
@@ -24,19 +36,23 @@ def export_labels(
     out: str | os.PathLike[str],
     sequence: Source | None = None,
     progress: Progress = silent,
+    review: str | os.PathLike[str] | None = None,
 ) -> tuple[int, int]:
-    """Write ``NNNNNN.label`` for each frame.
+    """Write ``NNNNNN.label`` for each frame, and ``boxes.csv``.
 
-    A uint32 per point, 9 if the point was kept and 251 if removed.
+    A uint32 per point: 9 if it is static, 251 if it moves, 0 if a person could not tell; and in the
+    upper 16 bits the number of its object, the same in all frames. A box for each object and frame:
+    middle in the world of the source, size in metres, and yaw in radians.
 
     Args:
         run: folder of a run, its ``result.json`` or ``run.rrd``.
         out: folder to create; it must not exist yet, and is written atomically.
         sequence: the run's sequence, if the data moved.
         progress: called with the phase, the number of frames done, and the total.
+        review: a file with decisions; None for that of the run.
 
     Returns:
-        Numbers of frames and of removed points.
+        Numbers of frames and of moving points.
 
     Raises:
         DataError: if the labels cannot be read or belong to a different sequence, or ``out`` exists
@@ -44,19 +60,46 @@ def export_labels(
         UsageError: if the run does not state where its sequence came from.
     """
     saved = open_run(run)
-    removed = 0
     with atomic_folder(out) as folder:
         labels = saved.labeller
         opened = saved.sequence(sequence)
         total = len(opened)
         summary = summarize(opened, lambda done: progress("checking", done, total))
         labels.check(opened.name, summary)
+        applied = Applied.to(opened, decisions_of(saved, review))
+        answers: list[tuple[Bool, U8]] = []
+        moving = []
         for done, scan in enumerate(stream(opened), 1):
-            dynamic = labels.label(scan).dynamic
-            write_semantic_labels(
-                folder / f"{scan.index:06d}.label",
-                np.where(dynamic, MOVING, STATIC).astype(np.uint16),
-            )
-            removed += int(dynamic.sum())
+            answers.append(applied.answers(scan, labels.label(scan).dynamic))
+            moving.append(scan.points[answers[-1][0] & (answers[-1][1] != UNDECIDED)])
+            progress("finding objects", done, total)
+        numbers = numbered(moving)
+        rows: list[list[object]] = []
+        for done, scan in enumerate(stream(opened), 1):
+            dynamic, verdicts = answers[done - 1]
+            classes = np.where(dynamic, MOVING, STATIC).astype(np.uint16)
+            classes[verdicts == UNDECIDED] = UNLABELLED
+            instances = np.zeros(len(scan), np.uint16)
+            instances[classes == MOVING] = numbers[done - 1]
+            write_semantic_labels(folder / f"{scan.index:06d}.label", classes, instances)
+            rows += _boxes(scan, instances, origin_of(opened))
             progress("writing", done, total)
-    return total, removed
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([list(COLUMNS), *rows])
+        write_atomic(folder / BOXES, text.getvalue().encode())
+    return total, sum(map(len, moving))
+
+
+def _boxes(scan: Scan, instances: U16, origin: F64) -> list[list[object]]:
+    """Rows of ``boxes.csv`` for a scan."""
+    rows: list[list[object]] = []
+    order = np.argsort(instances, kind="stable")
+    ends = np.flatnonzero(np.diff(instances[order])) + 1
+    for part in np.split(order, ends):
+        if not len(part) or not instances[part[0]]:
+            continue
+        middle, size, yaw = box_around(scan.points[part].astype(np.float64) + origin)
+        stamp = "" if scan.stamp_ns is None else scan.stamp_ns
+        numbers = [f"{value:.3f}" for value in (*middle, *size)]
+        rows.append([scan.index, stamp, int(instances[part[0]]), len(part), *numbers, f"{yaw:.4f}"])
+    return rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from helpers.worlds import room
 
 import dynaviz as dv
 from dynaviz.errors import DataError
+from dynaviz.reviews.objects import box_around, numbered
+from dynaviz.reviews.regions import BoxRegion
 from dynaviz.runs.export import export_labels
 from dynaviz.sources.datasets.convert import convert
 
@@ -27,10 +30,11 @@ def test_each_frame_has_a_file_with_a_label_per_point(folder: Path, tmp_path: Pa
     counted = export_labels(folder / "run", tmp_path / "labels")
     with np.load(folder / "run/labels.npz") as z:  # all frames unpacked at once
         removed_points = np.unpackbits(z["dynamic"])[: z["points"].sum()]
-    files = sorted((tmp_path / "labels").iterdir())
+    files = sorted((tmp_path / "labels").glob("*.label"))
     assert [file.name for file in files] == [f"{index:06d}.label" for index in (10, 11, 12, 13)]
     labels = np.concatenate([np.fromfile(file, "<u4") for file in files])
-    np.testing.assert_array_equal(labels, np.where(removed_points, 251, 9))
+    np.testing.assert_array_equal(labels & 0xFFFF, np.where(removed_points, 251, 9))
+    np.testing.assert_array_equal(labels >> 16 > 0, removed_points)
     assert 0 < removed_points.sum() < len(removed_points)
     assert removed_points.sum() in counted
     assert all(file.stat().st_size == 4 * 1003 for file in files)
@@ -68,3 +72,56 @@ def test_labels_of_a_different_sequence_are_refused(folder: Path, tmp_path: Path
     with pytest.raises(DataError, match="already exists"):
         export_labels(folder / "run", folder / "run", sequence)
     assert not list(tmp_path.iterdir())
+
+
+def test_an_object_keeps_its_number_and_boxes_contain_its_points(
+    folder: Path, tmp_path: Path
+) -> None:
+    export_labels(folder / "run", tmp_path / "labels")
+    with (tmp_path / "labels/boxes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for scan in dv.open(folder / "room"):
+        values = np.fromfile(tmp_path / f"labels/{scan.index:06d}.label", "<u4")
+        here = {int(row["instance"]): row for row in rows if int(row["frame"]) == scan.index}
+        assert set(here) == set((values >> 16).tolist()) - {0}
+        for number, row in here.items():
+            points = scan.points[values >> 16 == number]
+            assert len(points) == int(row["points"])
+            yaw = float(row["yaw"])
+            apart = points - np.array([float(row[axis]) for axis in "xyz"])
+            along = apart[:, 0] * np.cos(yaw) + apart[:, 1] * np.sin(yaw)
+            across = apart[:, 1] * np.cos(yaw) - apart[:, 0] * np.sin(yaw)
+            for side, name in ((along, "length"), (across, "width"), (apart[:, 2], "height")):
+                assert np.abs(side).max() <= float(row[name]) / 2 + 0.005
+
+
+def test_a_walker_and_a_car_have_one_number_each_and_the_box_of_the_car_turns() -> None:
+    random = np.random.default_rng(1)
+    car = random.uniform((-2, -1, 0), (2, 1, 1.5), (2000, 3))
+    walker = random.uniform((-0.3, -0.3, 0), (0.3, 0.3, 1.8), (300, 3))
+    c = np.cos(0.5)
+    s = np.sin(0.5)
+    turned = car @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    frames = [
+        np.concatenate([turned + np.array([k * 0.8, 0, 0]), walker + np.array([0, 8 + 0.1 * k, 0])])
+        for k in range(5)
+    ]
+    for numbers in numbered([frame.astype(np.float32) for frame in frames]):
+        assert set(numbers[:2000].tolist()) == {1}
+        assert set(numbers[2000:].tolist()) == {2}
+    middle, size, yaw = box_around(turned + np.array([5, 6, 7]))
+    np.testing.assert_allclose(middle, [5, 6, 7.75], atol=0.1)
+    np.testing.assert_allclose(size, [4, 2, 1.5], atol=0.1)
+    assert yaw == pytest.approx(0.5, abs=0.03)
+
+
+def test_decisions_change_the_labels_and_nobody_knows_stays_unlabelled(
+    folder: Path, tmp_path: Path
+) -> None:
+    everything = BoxRegion((-500.0, -500.0, -500.0), (500.0, 500.0, 500.0))
+    for verdict, value in (("undecided", 0), ("static", 9), ("dynamic", 251)):
+        file = tmp_path / f"{verdict}.json"
+        dv.review(folder / "run", review=file).decide(everything, verdict)
+        export_labels(folder / "run", tmp_path / verdict, review=file)
+        for path in (tmp_path / verdict).glob("*.label"):
+            assert set((np.fromfile(path, "<u4") & 0xFFFF).tolist()) == {value}
