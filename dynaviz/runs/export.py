@@ -9,7 +9,6 @@ import os
 import numpy as np
 
 from dynaviz.arrays import F64, U8, U16, Bool
-from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.scan import Scan, stream
 from dynaviz.io.atomic import atomic_folder, write_atomic
 from dynaviz.io.semantic_label import write_semantic_labels
@@ -82,7 +81,7 @@ def export_labels(
             instances = np.zeros(len(scan), np.uint16)
             instances[classes == MOVING] = numbers[done - 1]
             write_semantic_labels(folder / f"{scan.index:06d}.label", classes, instances)
-            rows += _boxes(scan, instances, origin_of(opened))
+            rows += _boxes(scan, instances, opened.origin)
             progress("writing", done, total)
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([list(COLUMNS), *rows])
