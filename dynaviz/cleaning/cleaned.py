@@ -109,6 +109,7 @@ class Cleaned:
                 "source": self.facts.get("poses"),
                 "file": self.trajectory and str(self.trajectory),
             },
+            "reading": msgspec.to_builtins(run.reading),
             "pose_noise": msgspec.to_builtins(run.pose_noise),
             "pose_refinement": msgspec.to_builtins(run.pose_refinement),
             "pose_findings": msgspec.to_builtins(run.pose_findings),
@@ -166,6 +167,7 @@ class Cleaned:
             if self.review:
                 yield "`by_hand`: 1 where a decision changed the answer of the method."
         yield from self._about_poses()
+        yield from self._about_reading()
         if self.review:
             yield from self.review.lines()
         if self.changes:
@@ -205,6 +207,12 @@ class Cleaned:
                 f"\nThe sensor is unknown. Estimated from the scans: {self.sensor}. `--sensor` "
                 "overrides this."
             )
+
+    def _about_reading(self) -> Iterator[str]:
+        """What was found in the source or assumed."""
+        if reading := self.result.reading:
+            yield from ["", "## How the data were read", "", "| what | how |", "|---|---|"]
+            yield from (f"| {name} | {value} |" for name, value in reading.rows())
 
     def _cases(self) -> Iterator[str]:
         """The clusters to look at first, or the scores and failures of a sequence with ground

@@ -138,13 +138,11 @@ def _show_result(result: Result) -> None:
 
 
 def _sequence_facts(sequence: Drive) -> dict[str, str]:
-    from dynaviz.contracts.attributes import precision_of
     from dynaviz.sources.summary import summarize
 
     with progress(sequence.name) as report:
         counted = _Counted(sequence)
         summary = summarize(counted, lambda done: report("read", done, len(sequence)))
-    precision = precision_of(sequence.coordinates(0))
     low = summary.extent.low
     high = summary.extent.high
     return {
@@ -158,9 +156,9 @@ def _sequence_facts(sequence: Drive) -> dict[str, str]:
         "rate": counted.rate(),
         "extent": " x ".join(f"{size:.1f}" for size in high - low) + " m",
         "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
-        **({} if precision is None else {"coordinates": str(precision)}),
         "digest": summary.digest,
         **sequence.facts,
+        **({} if sequence.exact else dict(sequence.reading.rows())),
     }
 
 

@@ -405,6 +405,7 @@ def _result(
         pose_noise=summary.pose_noise,
         pose_refinement=run.drive.refinement,
         pose_findings=run.pose_findings,
+        reading=None if run.drive.exact else run.drive.reading,
         origin=run.drive.provenance,
         plugin=plugin("methods", name) if run.of_method else None,
         account=account,

@@ -38,7 +38,7 @@ from dynaviz.scores.sections import (
     Sections,
     SequenceInfo,
 )
-from dynaviz.sources.origin import Origin, PoseFinding, PoseNoise, PoseRefinement
+from dynaviz.sources.origin import Origin, PoseFinding, PoseNoise, PoseRefinement, SourceReading
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -77,6 +77,8 @@ class Result:
         pose_refinement: how the poses were refined; None if they were not.
         pose_findings: what is likely wrong with poses, frames or units; empty in results of earlier
             versions.
+        reading: how the numbers of the source were read; None for simulated sequences, and in
+            results of earlier versions.
         account: where the points of the source went; None in results of earlier versions.
         origin: where the sequence came from, to open it again; None in results of earlier versions.
         plugin: the code of the method; None for another program, and in results of earlier
@@ -105,6 +107,7 @@ class Result:
     pose_noise: PoseNoise | None = None
     pose_refinement: PoseRefinement | None = None
     pose_findings: tuple[PoseFinding, ...] = ()
+    reading: SourceReading | None = None
     account: PointAccount | None = None
     origin: Origin | None = None
     plugin: Plugin | None = None

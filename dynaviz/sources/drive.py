@@ -17,12 +17,12 @@ import msgspec
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64
-from dynaviz.contracts.attributes import Attributes, Unposed
+from dynaviz.contracts.attributes import Attributes, Unposed, precision_of
 from dynaviz.contracts.reader import Reader, reader_of
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz.sources.origin import EstimatedPoses, Origin, PoseRefinement
+from dynaviz.sources.origin import EstimatedPoses, Origin, PoseRefinement, SourceReading
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import Moved, PosesOverTime
 
@@ -240,6 +240,29 @@ class Drive:
         for each in self.poses:
             facts = each.facts(facts)
         return facts
+
+    @property
+    def reading(self) -> SourceReading:
+        """How the numbers of the source were read.
+
+        Raises:
+            DataError: if the first frame cannot be read.
+        """
+        facts = self.facts
+        mount = self.provenance.options.extrinsic
+        given = self.reader.coordinates(self.rows[0]) if len(self) else None
+        coordinates = precision_of(given)
+        odometry = self.estimated and f"estimated with {self.estimated.odometry}"
+        known = "those of the data set" if self.reader.stamps is not None else "none"
+        return SourceReading(
+            poses=odometry or facts.get("poses", "those of the data set"),
+            times=facts.get("times") or facts.get("split by") or facts.get("names") or known,
+            points_in=facts.get("points in", ""),
+            deskewed=facts.get("deskewed", ""),
+            columns=facts.get("columns", ""),
+            mount=mount or "none, the poses are taken as those of the lidar",
+            coordinates=str(coordinates or "float32"),
+        )
 
     @property
     def stamps(self) -> I64 | None:

@@ -115,6 +115,44 @@ class PoseFinding(Struct, frozen=True):
         return addressed(f"{self.name}: {self.problem}. {self.fix}")
 
 
+class SourceReading(Struct, frozen=True, omit_defaults=True):
+    """How the numbers of a source were read: what was found in it, stated, or assumed.
+
+    Attributes:
+        poses: where they are from, and how they were matched with the scans.
+        times: where the times of the scans are from.
+        points_in: frame of the points in the source.
+        deskewed: whether motion during the sweep was compensated here, and why.
+        columns: what the columns of files without titles hold; empty if the files name them.
+        units: of lengths.
+        mount: pose of the lidar on the vehicle.
+        coordinates: their type in the source, and its steps there if they are coarse.
+    """
+
+    poses: str = ""
+    times: str = ""
+    points_in: str = ""
+    deskewed: str = ""
+    columns: str = ""
+    units: str = "metres"
+    mount: str = ""
+    coordinates: str = ""
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What and how, in words; only what is known."""
+        named = (
+            ("poses", self.poses),
+            ("times", self.times),
+            ("points in", self.points_in),
+            ("deskewed", self.deskewed),
+            ("columns", self.columns),
+            ("units", self.units),
+            ("mount", self.mount),
+            ("coordinates", self.coordinates),
+        )
+        return [(name, value) for name, value in named if value]
+
+
 class Origin(Struct, frozen=True, omit_defaults=True):
     """Where the sequence of a run came from.
 

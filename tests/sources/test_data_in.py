@@ -5,7 +5,8 @@ Each situation is written from the same small street, whose truth is known.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from helpers.street import Sweep, drive
 
 import dynaviz as dv
 from dynaviz.errors import DataError
+from dynaviz.scores.result import Result
 from dynaviz.spatial import geometry
 
 UTM = np.array([388_421.0, 5_572_094.0, 120.0])
@@ -193,3 +195,41 @@ def test_impossible_times_are_counted_and_replaced(tmp_path: Path) -> None:
     ):
         assert_right(sequence, sweeps)
     assert facts(sequence)["impossible times"] == "600 points in 4 clouds"
+
+
+@pytest.mark.filterwarnings("ignore:the sensor is unknown")
+def test_what_was_assumed_is_stated_everywhere(
+    tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]
+) -> None:
+    """In ``info``, in the summary and in the result."""
+    sweeps = drive()
+    times = [START + k * 100_000_000 for k in range(len(sweeps))]
+    scans_to(tmp_path / "drive/scans", [str(t) for t in times], sweeps, suffix=".bin")
+    mount = np.eye(4)
+    mount[:3, 3] = 1.0, 0.0, 0.5
+    tum(tmp_path / "drive/a.tum", [s.T @ geometry.inverse(mount) for s in sweeps], times)
+    options = {"extrinsic": "1,0,0.5,0,0,0"}
+    cleaned = dv.clean(tmp_path / "drive", tmp_path / "clean.pcd", record="none", **options)
+    stated = {
+        "poses": "a.tum (TUM), by stamp",
+        "times": "ns since 1970, 10 Hz",
+        "points in": "sensor frame",
+        "deskewed": "no, scans are taken as they are",
+        "columns": "x y z intensity",
+        "units": "metres",
+        "mount": "1,0,0.5,0,0,0",
+        "coordinates": "float32",
+    }
+    reading = Result.load(tmp_path / "clean_run/result.json").reading
+    assert reading is not None
+    code, out, _ = run_command(
+        "info", str(tmp_path / "drive"), "--json", "-", "--extrinsic", options["extrinsic"]
+    )
+    assert code == 0
+    shown = json.loads(out)
+    page = (tmp_path / "clean_run/summary.md").read_text(encoding="utf-8")
+    assert page == cleaned.markdown()
+    for name, value in stated.items():
+        assert dict(reading.rows())[name].startswith(value)
+        assert shown[name].startswith(value)
+        assert f"| {name} | {value}" in page

@@ -24,7 +24,7 @@ from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import Pcd, read_header
 from dynaviz.io.poses import find_poses, nanoseconds, pose_candidates, read_poses
 from dynaviz.io.semantic_label import read_semantic_labels
-from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne, velodyne_attributes
+from dynaviz.io.velodyne import detect_columns, read_velodyne, velodyne_attributes
 from dynaviz.sources.datasets.pose_matching import (
     NO_POSES,
     MatchedPoses,
@@ -166,7 +166,7 @@ class ScanFolderSequence(Reader):
             "names": self.naming,
             "deskewed": "no, scans are taken as they are",
         }
-        if self.columns not in ((), FIELDS[:4]):
+        if self.columns:
             facts["columns"] = " ".join(self.columns)
         if self.origin.any():
             facts["origin"] = (
