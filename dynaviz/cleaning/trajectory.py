@@ -15,7 +15,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.sources.datasets.lidars import Lidars
 from dynaviz.sources.datasets.pose_matching import moved
 from dynaviz.sources.drive import Drive
-from dynaviz.sources.odometry.pose_table import write_pose_rows
+from dynaviz.sources.odometry.pose_table import write_pose_rows, write_tum
 from dynaviz.spatial.trajectory import Moved, PosesOverTime, Trajectory
 
 PER_SWEEP = 5
@@ -55,7 +55,10 @@ class UsedPoses:
             )
 
     def write(self, file: Path) -> bool:
-        """Write the table; False if there is none to write."""
+        """Write the table; False if there is none to write.
+
+        Those of one lidar, with times, are written as TUM, too: ``trajectory.tum``.
+        """
         origin = self._sequence.origin
         known = self._known()
         rows = list[tuple[int, F64]]()
@@ -69,7 +72,10 @@ class UsedPoses:
             rows += own
             lidars += [lidar] * len(own)
         if rows:
-            write_pose_rows(file, rows, bool(known), lidars if len(set(lidars)) > 1 else None)
+            several = len(set(lidars)) > 1
+            write_pose_rows(file, rows, bool(known), lidars if several else None)
+            if known and not several:
+                write_tum(file.with_suffix(".tum"), rows)
         return bool(rows)
 
     def _known(self) -> Mapping[int, PosesOverTime]:

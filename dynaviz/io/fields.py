@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, F64, single
 from dynaviz.errors import DataError
+from dynaviz.io.e57 import read_e57_fields
 from dynaviz.io.las import read_las_fields
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import read_pcd
 from dynaviz.io.ply import read_ply_rows
+from dynaviz.io.text_cloud import SUFFIXES as TEXT_SUFFIXES
+from dynaviz.io.text_cloud import read_text_fields
 
 Fields = dict[str, NDArray[Any]]
 
@@ -26,7 +29,7 @@ AXES = ("x", "y", "z")
 
 
 def read_fields(path: str | os.PathLike[str]) -> Fields:
-    """Read all fields of a PCD, PLY, LAS, LAZ, NPY or NPZ file.
+    """Read all fields of a PCD, PLY, LAS, LAZ, NPY, NPZ, E57 or text file.
 
     Args:
         path: the file; its suffix selects the format.
@@ -38,7 +41,7 @@ def read_fields(path: str | os.PathLike[str]) -> Fields:
     Raises:
         DataError: for an unknown suffix, or if the file cannot be read, is corrupt or has no x, y
             or z.
-        MissingDependency: for LAS and LAZ if laspy is not installed.
+        MissingDependency: for LAS and LAZ if laspy is not installed, for E57 if pye57 is not.
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
@@ -156,4 +159,6 @@ _READERS: dict[str, Callable[[Path], Fields]] = {
     ".npz": _npz,
     ".las": read_las_fields,
     ".laz": read_las_fields,
+    ".e57": read_e57_fields,
+    **dict.fromkeys(TEXT_SUFFIXES, read_text_fields),
 }

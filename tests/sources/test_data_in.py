@@ -17,6 +17,7 @@ from helpers.street import Sweep, drive
 
 import dynaviz as dv
 from dynaviz.errors import DataError
+from dynaviz.io.poses import read_poses
 from dynaviz.scores.result import Result
 from dynaviz.spatial import geometry
 
@@ -229,6 +230,12 @@ def test_what_was_assumed_is_stated_everywhere(
     shown = json.loads(out)
     page = (tmp_path / "clean_run/summary.md").read_text(encoding="utf-8")
     assert page == cleaned.markdown()
+    csv = read_poses(tmp_path / "clean_run/trajectory.csv")
+    written = read_poses(tmp_path / "clean_run/trajectory.tum")
+    assert csv.stamps is not None
+    assert written.stamps is not None
+    assert (written.stamps == csv.stamps).all()
+    assert np.allclose(written.poses, csv.poses, atol=1e-9)
     for name, value in stated.items():
         assert dict(reading.rows())[name].startswith(value)
         assert shown[name].startswith(value)

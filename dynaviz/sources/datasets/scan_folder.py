@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -19,11 +19,15 @@ from dynaviz.contracts.reader import Reader
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses
+from dynaviz.io.e57 import SUFFIX as E57
+from dynaviz.io.e57 import read_e57_pose
 from dynaviz.io.fields import coordinates, given_coordinates, read_fields, read_points, without_axes
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import Pcd, read_header
 from dynaviz.io.poses import find_poses, nanoseconds, pose_candidates, read_poses
 from dynaviz.io.semantic_label import read_semantic_labels
+from dynaviz.io.text_cloud import SUFFIXES as TEXT_SUFFIXES
+from dynaviz.io.text_cloud import is_text_cloud
 from dynaviz.io.velodyne import detect_columns, read_velodyne, velodyne_attributes
 from dynaviz.sources.datasets.pose_matching import (
     NO_POSES,
@@ -39,7 +43,7 @@ from dynaviz.sources.hypotheses.names import read_names
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import PosesOverTime
 
-SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
+SUFFIXES = (".bin", ".e57", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
 # Folder names that do not identify a sequence.
 _GENERIC_NAMES = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")
 _NO_POSES = (
@@ -51,7 +55,9 @@ _NO_POSES = (
 
 @dataclass(frozen=True)
 class ScanFolderSequence(Reader):
-    """Scans as numbered or stamped files (.bin .pcd .ply .npy .npz .las .laz) with a pose file.
+    """Scans as numbered or stamped files with a pose file.
+
+    Files are ``.bin .pcd .ply .npy .npz .las .laz .e57``, or text: ``.xyz .asc .txt .csv``.
 
     The poses come from ``--poses FILE``, from ``poses.txt``, ``trajectory.txt``, ``*.tum``,
     ``poses.csv`` ... next to the scans or their folder, or from the VIEWPOINT of PCD files. Labels
@@ -315,12 +321,16 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _scan_files(folder: Path) -> list[Path]:
-    """Files that look like scans: a supported suffix, and a digit at the end of the name."""
-    return [
-        path
-        for path in _entries(folder)
-        if path.suffix.lower() in SUFFIXES and _stem(path)[-1:].isdigit()
-    ]
+    """Files that look like scans: a supported suffix, and a digit at the end of the name.
+
+    Text files are scans only if there are no others, and several of them, with points.
+    """
+    numbered = [path for path in _entries(folder) if _stem(path)[-1:].isdigit()]
+    if found := [path for path in numbered if _suffix(path) in SUFFIXES]:
+        return found
+    texts = [path for path in numbered if _suffix(path) in TEXT_SUFFIXES]
+    points = len(texts) > 1 and all(is_text_cloud(path) for path in (texts[0], texts[-1]))
+    return texts if points else []
 
 
 def _stem(path: Path) -> str:
@@ -337,11 +347,9 @@ def _scans_in(path: Path) -> Path | None:
     """The folder with the scans: the path itself, or its only subfolder with scans."""
     if _scan_files(path):
         return path
-    candidates = [
-        folder
-        for folder in _entries(path)
-        if folder.is_dir() and folder.name != "labels" and _scan_files(folder)
-    ]
+    folders = [each for each in _entries(path) if each.is_dir() and each.name != "labels"]
+    files = {folder: found for folder in folders if (found := _scan_files(folder))}
+    candidates = [each for each in files if _suffix(files[each][0]) in SUFFIXES] or [*files]
     return candidates[0] if len(candidates) == 1 else None
 
 
@@ -460,7 +468,7 @@ def _own_poses(folder: Path, sequence: Path, scans: list[Path], stamps: I64 | No
         ) from None
 
 
-def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> MatchedPoses:
+def _viewpoints(folder: Path, scans: list[Path], stamps: I64 | None) -> MatchedPoses:
     """Poses from the VIEWPOINT of PCD files.
 
     Raises:
@@ -468,10 +476,7 @@ def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> Matc
     """
     poses = []
     for path in scans:
-        header = read_header(path) if path.suffix.lower() == ".pcd" else None
-        T_world_sensor = (
-            None if header is None else Pcd(path, header, np.empty(0, header.row)).T_world_sensor
-        )
+        T_world_sensor = _own_pose(path)
         if T_world_sensor is None:
             raise NoPoses(folder, "has no poses", hint=_NO_POSES)
         poses.append(T_world_sensor)
@@ -479,7 +484,16 @@ def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> Matc
         raise NoPoses(
             folder, "has no poses: VIEWPOINT is the identity in every scan", hint=_NO_POSES
         )
-    return MatchedPoses(np.arange(len(poses)), np.array(poses), stamps, "VIEWPOINT of each PCD")
+    source = "pose of each E57" if _suffix(scans[0]) == E57 else "VIEWPOINT of each PCD"
+    return MatchedPoses(np.arange(len(poses)), np.array(poses), stamps, source)
+
+
+def _own_pose(path: Path) -> F64 | None:
+    """The pose in a scan: VIEWPOINT of a PCD file, or that of an E57 file; None without one."""
+    if _suffix(path) == E57:
+        return read_e57_pose(path)
+    header = read_header(path) if _suffix(path) == ".pcd" else None
+    return None if header is None else Pcd(path, header, np.empty(0, header.row)).T_world_sensor
 
 
 def _label_array(path: Path, points: int) -> U8:

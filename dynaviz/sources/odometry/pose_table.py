@@ -11,6 +11,7 @@ from dynaviz.arrays import F64, I64
 from dynaviz.contracts.scan import Scan
 from dynaviz.io.atomic import write_atomic
 from dynaviz.sources.datasets.lidars import LIDAR
+from dynaviz.spatial import geometry
 from dynaviz.spatial.motion import smoothed
 from dynaviz.spatial.trajectory import Trajectory
 
@@ -67,3 +68,18 @@ def write_pose_rows(
 def without_points(scan: Scan) -> Scan:
     """A scan without points, to keep its number, stamp and pose."""
     return Scan(scan.index, np.empty((0, 3), np.float32), scan.T_world_sensor, scan.stamp_ns)
+
+
+def write_tum(file: Path, rows: Iterable[tuple[int, F64]]) -> None:
+    """Write poses as TUM: time in seconds, position, quaternion x y z w.
+
+    Args:
+        file: text file.
+        rows: stamp in nanoseconds, and T_world_sensor, (4, 4) float64, metres.
+    """
+    lines = ["# time x y z qx qy qz qw"]
+    for stamp, T in rows:
+        w, x, y, z = geometry.quaternion(T[:3, :3])
+        numbers = " ".join(f"{value:.12g}" for value in (*T[:3, 3], x, y, z, w))
+        lines.append(f"{stamp // 10**9}.{stamp % 10**9:09d} {numbers}")
+    write_atomic(file, ("\n".join(lines) + "\n").encode())
