@@ -43,6 +43,7 @@ class Doubt:
             self.problem,
             f"Likeliest cause: {self.cause}",
             *([f"Try: {self.command}"] if self.command else []),
+            "From symptom to cause: docs/wrong_map.md",
         )
 
     def __rich__(self) -> RenderableType:

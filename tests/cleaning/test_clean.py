@@ -286,6 +286,7 @@ def test_a_doubtful_map_ends_with_a_box_and_code_3(
     box = " ".join(err.replace("│", " ").split())
     assert "check this map before you use it" in box
     assert re.search(f"Likeliest cause: .*Try: .*{expected}", box)
+    assert "docs/wrong_map.md" in box
     page = (tmp_path / "map_run/summary.md").read_text()
     assert page.startswith(
         f"# drive, cleaned with {METHOD}\n\n> **Check this map before you use it.**"

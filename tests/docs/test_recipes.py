@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -143,6 +144,120 @@ def lio_sam(scans: list[Scan]) -> None:
     )
 
 
+def poses(path: Path, rows: list[np.ndarray]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, [T[:3].ravel() for T in rows], fmt="%.9f")
+
+
+def binary(folder: Path, names: list[str], scans: list[Scan], columns: int = 4) -> None:
+    """Points with intensity, and with ring and time of six columns."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, scan in zip(names, scans, strict=True):
+        rows = np.zeros((len(scan), columns), "<f4")
+        rows[:, :3] = own(scan)
+        rows[:, 3] = 1.0
+        rows[:, 4:] = np.linspace(0, 0.1, len(scan))[:, None]
+        rows.tofile(folder / f"{name}.bin")
+
+
+def hba(scans: list[Scan]) -> None:
+    Path("session/pcd").mkdir(parents=True)
+    for k, scan in enumerate(scans):
+        cloud(Path(f"session/pcd/{k}.pcd"), own(scan))
+    rows = [
+        [*scan.position, *geometry.quaternion(scan.T_world_sensor[:3, :3])] for scan in scans
+    ]  # w first
+    np.savetxt("session/pose.json", rows, fmt="%.6f")
+
+
+def rko_lio(scans: list[Scan]) -> None:
+    folder = Path("results/drive_0")
+    (folder / "deskewed_scans").mkdir(parents=True)
+    tum(folder / "drive_tum_0.txt", scans)
+    for k, scan in enumerate(scans):
+        xyz = own(scan).astype("<f8")
+        head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(xyz)}\n"
+        fields = "".join(f"property double {axis}\n" for axis in "xyz")
+        content = f"{head}{fields}end_header\n".encode() + xyz.tobytes()
+        (folder / f"deskewed_scans/{START + k * 10**8}.ply").write_bytes(content)
+
+
+def lidar_slam_ros2(scans: list[Scan]) -> None:
+    with BagWriter(Path("slam"), "sqlite3") as writer:
+        for k, scan in enumerate(scans):
+            fields = columns(own(scan), intensity=np.ones(len(scan), "f4"))
+            writer.cloud(k * SWEEP, fields, topic="/velodyne_points")
+            writer.pose(k * SWEEP, scan.T_world_sensor, topic="/current_pose")
+
+
+def hdl_graph_slam(scans: list[Scan]) -> None:
+    for k, scan in enumerate(scans):
+        folder = Path(f"dump/{k:06d}")
+        folder.mkdir(parents=True)
+        cloud(folder / "cloud.pcd", own(scan))
+        T = "\n".join(" ".join(f"{x:9.6f}" for x in row) for row in scan.T_world_sensor)
+        other = T.replace("1", "2")
+        stamp = f"stamp {START // 10**9 + k} 5"
+        text = f"{stamp}\nestimate\n{T}\nodom \n{other}\naccum_distance {k}\nid {k + 1}\n"
+        (folder / "data").write_text(text)
+    Path("dump/graph.g2o").write_text("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n")
+
+
+def kitti_360(scans: list[Scan]) -> None:
+    lidar = np.eye(4)  # on the IMU
+    lidar[:3, :3] = Rotation.from_euler("x", 180, degrees=True).as_matrix()
+    lidar[:3, 3] = 0.8, 0.3, -0.8
+    camera = np.array([[0.0, 0, 1, 1.6], [-1, 0, 0, 0.3], [0, -1, 0, -0.7], [0, 0, 0, 1]])
+    to_lidar = geometry.inverse(lidar) @ camera
+    folder = Path("calibration")
+    poses(folder / "calib_cam_to_velo.txt", [to_lidar])
+    numbers = " ".join(f"{x:.9f}" for x in camera[:3].ravel())
+    (folder / "calib_cam_to_pose.txt").write_text(f"image_00: {numbers}\nimage_01: {numbers}\n")
+    names = [f"{k:010d}" for k in range(len(scans))]
+    binary(Path("data_3d_raw/drive/velodyne_points/data"), names, scans)
+    unit = [scan.T_world_sensor @ geometry.inverse(lidar) for scan in scans]
+    rows = [f"{k} " + " ".join(f"{x:.9f}" for x in T[:3].ravel()) for k, T in enumerate(unit)]
+    Path("data_poses/drive").mkdir(parents=True)
+    Path("data_poses/drive/poses.txt").write_text("\n".join(rows) + "\n")
+
+
+def boreas(scans: list[Scan]) -> None:
+    times = [START // 1000 + k * 100_000 for k in range(len(scans))]
+    folder = Path("boreas-2021-01-26-11-22")
+    binary(folder / "lidar", [str(t) for t in times], scans, 6)
+    titles = "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading"
+    lines = [f"{titles},angvel_z,angvel_y,angvel_x"]
+    for t, scan in zip(times, scans, strict=True):
+        angles = Rotation.from_matrix(scan.T_world_sensor[:3, :3].T).as_euler("xyz")
+        numbers = *scan.position, 0.0, 0.0, 0.0, *angles, 0.0, 0.0, 0.0
+        lines.append(f"{t}," + ",".join(f"{x:.9f}" for x in numbers))
+    (folder / "applanix").mkdir()
+    (folder / "applanix/lidar_poses.csv").write_text("\n".join(lines) + "\n")
+
+
+def cloud_compare(scans: list[Scan]) -> None:
+    poses(Path("survey/poses.txt"), [scan.T_world_sensor for scan in scans])
+    Path("survey/scans").mkdir()
+    for k, scan in enumerate(scans):
+        rows = np.column_stack([own(scan), np.full(len(scan), 0.5)])
+        np.savetxt(
+            f"survey/scans/{k:03d}.txt", rows, "%.8f", header="//X Y Z Intensity", comments=""
+        )
+
+
+def point_labeler(scans: list[Scan]) -> None:
+    names = [f"{k:06d}" for k in range(len(scans))]
+    binary(Path("labelled/velodyne"), names, scans)
+    poses(Path("labelled/poses.txt"), [scan.T_world_sensor for scan in scans])
+    numbers = " ".join(f"{x:g}" for x in np.eye(4)[:3].ravel())
+    Path("labelled/calib.txt").write_text("".join(f"{k}: {numbers}\n" for k in ("P0", "Tr")))
+    Path("labelled/labels").mkdir()
+    for name, scan in zip(names, scans, strict=True):
+        assert scan.labels is not None
+        moving = scan.labels == Label.DYNAMIC
+        np.where(moving, 252, 50).astype("<u4").tofile(f"labelled/labels/{name}.label")
+
+
 def mast(scans: list[Scan]) -> None:
     numbered(Path("mast"), hall(fixed=True))
 
@@ -173,7 +288,15 @@ WRITERS: dict[str, Callable[[list[Scan]], None]] = {
     "FAST-LIVO2": fast_livo2,
     "KISS-SLAM and KISS-ICP": kiss_slam,
     "GLIM": glim,
-    "LIO-SAM": lio_sam,
+    "LIO-SAM, SC-LIO-SAM and SC-A-LOAM": lio_sam,
+    "HBA": hba,
+    "RKO-LIO": rko_lio,
+    "lidar_slam_ros2": lidar_slam_ros2,
+    "hdl_graph_slam and interactive_slam": hdl_graph_slam,
+    "KITTI-360": kitti_360,
+    "Boreas": boreas,
+    "CloudCompare": cloud_compare,
+    "point_labeler": point_labeler,
     "A fixed sensor": mast,
     "A hand-held scanner": survey,
 }
@@ -199,7 +322,13 @@ def test_recipe(
     monkeypatch.chdir(tmp_path)
     scans = world()
     WRITERS[recipe](scans)
-    commands = [line for line in SECTIONS[recipe].splitlines() if line.startswith("dynaviz clean ")]
+    lines = SECTIONS[recipe].splitlines()
+    for line in lines:  # what collects the files
+        if line.startswith(("mkdir ", "for ")):
+            subprocess.run(["bash", "-c", line], check=True)
+    for code in re.findall(r"^```python\n(.*?)^```", SECTIONS[recipe], re.M | re.S):
+        exec(code, {})
+    commands = [line for line in lines if line.startswith("dynaviz clean ")]
     assert commands
     moving = sum(int((scan.labels == Label.DYNAMIC).sum()) for scan in scans)
     for command in commands:
