@@ -35,6 +35,7 @@ TICK = 100_000  # nanoseconds; a vehicle that turns by 60 degrees per second tur
 # metres between the starts of two rays of one lidar; lidars on a vehicle
 SAME_PLACE = 0.03
 MOST_LIDARS = 8
+UPRIGHT = 0.98  # cosine between the third axes of an upright sensor and the world, at least
 FEWEST_RAYS = 0.05  # share of the rays that a lidar has at least
 
 
@@ -123,11 +124,17 @@ def estimate_sensor(sequence: Drive) -> Sensor:
     ).tolist()
     scans = [sequence[k] for k in positions]
     paths = [_path(sequence, k, scan) for k, scan in zip(positions, scans, strict=True)]
-    rays = [ScanRays.of(scan, path) for scan, path in zip(scans, paths, strict=True)]
-    if not (rays := [each for each in rays if len(each.ranges) > 100]):
+    every_ray = [ScanRays.of(scan, path) for scan, path in zip(scans, paths, strict=True)]
+    known = [k for k, each in enumerate(every_ray) if len(each.ranges) > 100]
+    if not known:
         return Sensor()
+    rays = [every_ray[k] for k in known]
     rows = _rows(sequence, positions, rays)
-    heights = [height for each in rays if (height := height_of(each)) is not None]
+    heights = [
+        height
+        for k, each in zip(known, rays, strict=True)
+        if (height := _height(scans[k], each)) is not None
+    ]
     every = np.concatenate([each.elevations for each in rays])
     ranges = np.concatenate([each.ranges for each in rays])
     low, high = _ends(every, ranges, 0.05 if rows is None else 0.02)
@@ -303,6 +310,21 @@ def height_of(rays: ScanRays) -> float | None:
     None if too little of it is seen.
     """
     height, shown = sensor_height(rays.ends)
+    return height if shown else None
+
+
+def _height(scan: Scan, rays: ScanRays) -> float | None:
+    """Distance of the sensor from the ground, metres; None if too little of it is seen.
+
+    The ground is where the third axis of the sensor points down, or that of the world if the sensor
+    is turned and shows more ground there: one that is upside down, tilted, or turns about an axis.
+    """
+    if scan.T_world_sensor[2, 2] > UPRIGHT:
+        return height_of(rays)
+    own = sensor_height(rays.ends)
+    away = scan.points - scan.origins
+    there = sensor_height(away[np.isfinite(away).all(1)])
+    height, shown = max(own, there, key=lambda found: found[1])
     return height if shown else None
 
 

@@ -6,6 +6,8 @@ Each situation is written from the same small street, whose truth is known.
 from __future__ import annotations
 
 import json
+import struct
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -13,12 +15,14 @@ import numpy as np
 import pytest
 from helpers.bags import START, BagWriter, columns
 from helpers.pose_files import kitti, quaternions, scans_to, tum
-from helpers.street import Sweep, drive
+from helpers.street import HEIGHT, Sweep, drive
 
 import dynaviz as dv
 from dynaviz.errors import DataError
 from dynaviz.io.poses import read_poses
 from dynaviz.scores.result import Result
+from dynaviz.sources.datasets.pose_matching import parse_extrinsic
+from dynaviz.sources.sensing import estimate_sensor
 from dynaviz.spatial import geometry
 
 UTM = np.array([388_421.0, 5_572_094.0, 120.0])
@@ -240,3 +244,81 @@ def test_what_was_assumed_is_stated_everywhere(
         assert dict(reading.rows())[name].startswith(value)
         assert shown[name].startswith(value)
         assert f"| {name} | {value}" in page
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_a_drive_split_into_several_bags(tmp_path: Path, kind: str) -> None:
+    """Only the first part has the static transform of the lidar."""
+    sweeps = drive()
+    lidar = np.eye(4)
+    lidar[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+    lidar[:3, 3] = 1.5, 0.0, 0.2
+    half = len(sweeps) // 2
+    for part, own in enumerate((sweeps[:half], sweeps[half:])):
+        with BagWriter(tmp_path / f"part_{part}", kind) as bag:
+            if not part:
+                bag.transform(0.0, "base_link", "lidar", lidar, static=True)
+            for sweep in own:
+                base = sweep.T @ geometry.inverse(lidar)
+                bag.transform(sweep.seconds, "odom", "base_link", base)
+                bag.cloud(sweep.seconds, columns(sweep.points))
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for part in range(2):
+        if kind == "ros1":
+            (tmp_path / f"part_{part}.bag").rename(folder / f"drive_{part}.bag")
+        else:
+            (file,) = (tmp_path / f"part_{part}").glob("*.mcap")
+            file.rename(folder / f"drive_{part}.mcap")
+    assert_right(dv.open(folder), sweeps)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "advice"), [("ros1", "rosbags-convert"), ("protobuf", "PointCloud2 in CDR")]
+)
+def test_an_mcap_file_of_other_messages_is_not_called_corrupt(
+    tmp_path: Path, encoding: str, advice: str
+) -> None:
+    def text(words: str) -> bytes:
+        return struct.pack("<I", len(words)) + words.encode()
+
+    def record(kind: int, content: bytes) -> bytes:
+        return bytes([kind]) + struct.pack("<Q", len(content)) + content
+
+    schema = struct.pack("<H", 1) + text("foxglove.PointCloud") + text(encoding) + text("")
+    channel = struct.pack("<HH", 0, 1) + text("/points") + text(encoding) + struct.pack("<I", 0)
+    start = b"\x89MCAP0\r\n" + record(0x01, text("") + text("library"))
+    end = record(0x02, struct.pack("<QQI", len(start), 0, 0)) + b"\x89MCAP0\r\n"
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(start + record(0x03, schema) + record(0x04, channel) + end)
+    with pytest.raises(DataError, match=f"intact MCAP file with messages in {encoding}") as raised:
+        dv.open(path)
+    assert advice in str(raised.value)
+
+
+@pytest.mark.parametrize("mount", ["0,0,0,180,0,0", "0,0,0,0,20,90", "0,0,0,0,-30,0", "spinning"])
+def test_the_height_of_a_sensor_that_is_turned(mount: str) -> None:
+    """Upside down, tilted, or turning about a tilted axis."""
+    scans = []
+    for k, sweep in enumerate(drive()):
+        angle = 0.7 * k if mount == "spinning" else 0.0
+        text = f"0,0,0,0,25,{np.degrees(angle)}" if mount == "spinning" else mount
+        turn = parse_extrinsic(text)
+        assert turn is not None
+        own = geometry.apply(geometry.inverse(turn), sweep.points.astype(float))
+        scans.append((own.astype(np.float32), sweep.T @ turn))
+    found = estimate_sensor(dv.open(scans)).height
+    assert found == pytest.approx(HEIGHT, abs=0.1)
+
+
+def test_frames_that_were_not_chosen_are_not_outside_the_trajectory(tmp_path: Path) -> None:
+    sweeps = drive()
+    with BagWriter(tmp_path / "drive") as bag:
+        for sweep in sweeps:
+            bag.odometry(sweep.seconds, sweep.T)
+            bag.cloud(sweep.seconds, columns(sweep.points))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        account = dv.clean(bag.path, tmp_path / "clean.pcd", frames="2:8", record="none").account
+    assert account.points == sum(len(sweep.points) for sweep in sweeps[2:8])
+    assert account.unposed_kept == 0
