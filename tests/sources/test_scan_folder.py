@@ -251,7 +251,7 @@ def test_invalid_labels_are_reported(tmp_path: Path, labels: np.ndarray, problem
 def test_folders_without_scans_are_reported(tmp_path: Path) -> None:
     (tmp_path / "000000.pts").write_text("")
     with pytest.raises(
-        DataError, match=r"contains no scans, only \.pts\. Scans end in \.bin, \.las"
+        DataError, match=r"contains no scans, only \.pts\. Scans end in \.bin, \.e57, \.las"
     ):
         dv.open(f"files:{tmp_path}")
     with pytest.raises(DataError, match="is not a recognised sequence"):

@@ -112,7 +112,8 @@ class ScanFolderSequence(Reader):
         frame = parse_points_in(points_in)
         folder = _scans_in(path) if path.is_dir() else None
         if folder is None:
-            hint = f"Scans end in {', '.join(SUFFIXES)} and are named by number or stamp"
+            known = ", ".join((*SUFFIXES, *TEXT_SUFFIXES))
+            hint = f"Scans end in {known} and are named by number or stamp"
             raise DataError(path, _describe_missing_scans(path), hint=hint)
         sequence_folder = (
             folder.parent if folder != path or folder.name.lower() in _GENERIC_NAMES else folder
