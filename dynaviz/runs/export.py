@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import os
 
 import numpy as np
@@ -14,7 +15,7 @@ from dynaviz.io.atomic import atomic_folder, write_atomic
 from dynaviz.io.semantic_label import write_semantic_labels
 from dynaviz.progress import Progress, silent
 from dynaviz.reviews.applying import UNDECIDED, Applied
-from dynaviz.reviews.objects import box_around, numbered
+from dynaviz.reviews.objects import MOST, box_around, numbered
 from dynaviz.runs.reviewed import decisions_of
 from dynaviz.runs.run import open_run
 from dynaviz.sources.opening import Source
@@ -25,6 +26,9 @@ UNLABELLED = 0
 STATIC = 9
 MOVING = 251
 BOXES = "boxes.csv"
+BOXED = 10  # points of an object in a frame, from which it has a box there
+LASTING = 3  # frames in which it has so many, for it to have boxes at all
+MOVED = 2.0  # metres from its first box to its last one, for the same
 COLUMNS = (
     "frame", "stamp_ns", "instance", "points", "x", "y", "z", "length", "width", "height", "yaw",
 )  # fmt: skip
@@ -41,7 +45,9 @@ def export_labels(
 
     A uint32 per point: 9 if it is static, 251 if it moves, 0 if a person could not tell; and in the
     upper 16 bits the number of its object, the same in all frames. A box for each object and frame:
-    middle in the world of the source, size in metres, and yaw in radians.
+    middle in the world of the source, size in metres, and yaw in radians. Objects with fewer than
+    10 points in a frame have no box there; those with fewer than three boxes, or that move less
+    than 2 m from the first box to the last, have none.
 
     Args:
         run: folder of a run, its ``result.json`` or ``run.rrd``.
@@ -73,6 +79,7 @@ def export_labels(
             moving.append(scan.points[answers[-1][0] & (answers[-1][1] != UNDECIDED)])
             progress("finding objects", done, total)
         numbers = numbered(moving)
+        lasting = _lasting(numbers)
         rows: list[list[object]] = []
         for done, scan in enumerate(stream(opened), 1):
             dynamic, verdicts = answers[done - 1]
@@ -81,21 +88,43 @@ def export_labels(
             instances = np.zeros(len(scan), np.uint16)
             instances[classes == MOVING] = numbers[done - 1]
             write_semantic_labels(folder / f"{scan.index:06d}.label", classes, instances)
-            rows += _boxes(scan, instances, opened.origin)
+            rows += _boxes(scan, instances, lasting, opened.origin)
             progress("writing", done, total)
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([list(COLUMNS), *rows])
+        csv.writer(text, lineterminator="\n").writerows([list(COLUMNS), *_of_movers(rows)])
         write_atomic(folder / BOXES, text.getvalue().encode())
     return total, sum(map(len, moving))
 
 
-def _boxes(scan: Scan, instances: U16, origin: F64) -> list[list[object]]:
+def _lasting(numbers: list[U16]) -> Bool:
+    """(65536,) bool: the numbers of objects that have boxes."""
+    frames = np.zeros(MOST + 1, np.int64)
+    for own in numbers:
+        frames += np.bincount(own, minlength=MOST + 1) >= BOXED
+    lasting: Bool = frames >= LASTING
+    lasting[0] = False  # not an object
+    return lasting
+
+
+def _of_movers(rows: list[list[object]]) -> list[list[object]]:
+    """The rows of objects that move far enough."""
+    at = [COLUMNS.index(name) for name in "xyz"]
+    ends: dict[object, tuple[F64, F64]] = {}
+    for row in rows:
+        middle = np.array([row[column] for column in at], np.float64)
+        number = row[COLUMNS.index("instance")]
+        ends[number] = ends.get(number, (middle, middle))[0], middle
+    moved = {number for number, (first, last) in ends.items() if math.dist(first, last) >= MOVED}
+    return [row for row in rows if row[COLUMNS.index("instance")] in moved]
+
+
+def _boxes(scan: Scan, instances: U16, lasting: Bool, origin: F64) -> list[list[object]]:
     """Rows of ``boxes.csv`` for a scan."""
     rows: list[list[object]] = []
     order = np.argsort(instances, kind="stable")
     ends = np.flatnonzero(np.diff(instances[order])) + 1
     for part in np.split(order, ends):
-        if not len(part) or not instances[part[0]]:
+        if len(part) < BOXED or not lasting[instances[part[0]]]:
             continue
         middle, size, yaw = box_around(scan.points[part].astype(np.float64) + origin)
         stamp = "" if scan.stamp_ns is None else scan.stamp_ns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import dynaviz as dv
 from dynaviz.errors import DataError
 from dynaviz.reviews.objects import box_around, numbered
 from dynaviz.reviews.regions import BoxRegion
+from dynaviz.runs import export
 from dynaviz.runs.export import export_labels
 from dynaviz.sources.datasets.convert import convert
 
@@ -74,16 +76,27 @@ def test_labels_of_a_different_sequence_are_refused(folder: Path, tmp_path: Path
     assert not list(tmp_path.iterdir())
 
 
-def test_an_object_keeps_its_number_and_boxes_contain_its_points(
-    folder: Path, tmp_path: Path
+@pytest.mark.parametrize(("boxed", "lasted"), [(1, 1), (2, 2), (10, 3)])
+def test_boxes_contain_the_points_of_objects_that_are_large_and_last(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, boxed: int, lasted: int
 ) -> None:
+    monkeypatch.setattr(export, "BOXED", boxed)
+    monkeypatch.setattr(export, "LASTING", lasted)
+    monkeypatch.setattr(export, "MOVED", 0.0)
     export_labels(folder / "run", tmp_path / "labels")
     with (tmp_path / "labels/boxes.csv").open() as file:
         rows = list(csv.DictReader(file))
+    frames = Counter[int]()
+    for file in (tmp_path / "labels").glob("*.label"):
+        numbers = Counter((np.fromfile(file, "<u4") >> 16).tolist())
+        frames.update(n for n, points in numbers.items() if n and points >= boxed)
+    lasting = {n for n, count in frames.items() if count >= lasted}
+    assert bool(lasting) == (boxed < 10)  # three objects of few points
     for scan in dv.open(folder / "room"):
         values = np.fromfile(tmp_path / f"labels/{scan.index:06d}.label", "<u4")
         here = {int(row["instance"]): row for row in rows if int(row["frame"]) == scan.index}
-        assert set(here) == set((values >> 16).tolist()) - {0}
+        large = Counter((values >> 16).tolist())
+        assert set(here) == {n for n in lasting if large[n] >= boxed}
         for number, row in here.items():
             points = scan.points[values >> 16 == number]
             assert len(points) == int(row["points"])
@@ -125,3 +138,24 @@ def test_decisions_change_the_labels_and_nobody_knows_stays_unlabelled(
         export_labels(folder / "run", tmp_path / verdict, review=file)
         for path in (tmp_path / verdict).glob("*.label"):
             assert set((np.fromfile(path, "<u4") & 0xFFFF).tolist()) == {value}
+
+
+def test_boxes_are_those_of_objects_that_move(tmp_path: Path) -> None:
+    drive = dv.open("simulate:demo?frames=12")
+    dv.run("seethrough", drive, out=tmp_path / "run", record="none", threads=1)
+    export_labels(tmp_path / "run", tmp_path / "labels")
+    with (tmp_path / "labels/boxes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert rows
+    for number in {row["instance"] for row in rows}:
+        own = [row for row in rows if row["instance"] == number]
+        middles = np.array([[float(row[axis]) for axis in "xyz"] for row in own])
+        assert len(own) >= 3
+        assert np.linalg.norm(middles[-1] - middles[0]) > 1.99
+        assert all(int(row["points"]) >= 10 for row in own)
+    moving = []
+    for scan in drive:
+        numbers = np.fromfile(tmp_path / f"labels/{scan.index:06d}.label", "<u4") >> 16
+        here = [int(row["instance"]) for row in rows if int(row["frame"]) == scan.index]
+        moving += [np.mean(scan.labels[numbers == number] == 1) > 0.5 for number in here]
+    assert np.mean(moving) > 0.95
