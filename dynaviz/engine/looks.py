@@ -27,7 +27,7 @@ from dynaviz.contracts.scan import Label, Scan
 from dynaviz.io.temporary import store
 from dynaviz.spatial.surface import GRAZING, surface_normals
 
-APART = 0.25  # metres: origins of rays in a cube of this edge count as one
+APART = 0.1  # metres: origins of rays in a cube of this edge count as one
 MOST_PARTS = 16  # of a scan, by origin; with more, the cubes grow
 SAMPLED = 250  # directions whose spacing is measured
 LEAST = 64  # returns of a scan whose spacing is measured

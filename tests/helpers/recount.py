@@ -1,25 +1,34 @@
-"""Recounts the causes of failure cases from the scans and the labels of a run.
+"""Recounts the causes of failure cases from the scans and the labels of runs.
 
-Looks at other points than the run did, by ``reference.looks``, and uses none of the product's code
-for looks, surfaces or causes. ``eval/README.md`` states the criteria.
+Looks at other points of the cases than the runs did, by ``reference.looks``, and uses none of the
+product's code for looks, surfaces or causes; only the points of each case are grouped by it, since
+boxes of cases overlap. ``eval/README.md`` states the criteria.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
-import msgspec
 import numpy as np
 from scipy.spatial import cKDTree
 
 import dynaviz as dv
+from dynaviz.contracts import registry
+from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan
+from dynaviz.runs.run import Run, open_run
+from dynaviz.scores.failure_case import ROUNDED, FailureCase
+from dynaviz_eval import failures
 from helpers.reference.looks import GRAZING, HIT, NAMES, THROUGH, Returns
 
 SAMPLE = 128
-SAMPLES = 200  # of the points of a case, drawn with replacement
+LEAST = 64  # other points than those of the run; else these count as well
+DRAWN = 200  # samples of the points of a case
+RUN = failures.LOOKED_AT  # points that the run looked at
 
 
 @dataclass(frozen=True)
@@ -27,14 +36,14 @@ class Recounted:
     """A listed case: what was stated, and what was found at other points of it.
 
     Attributes:
+        run: its folder; number: of the case.
         shares: how often samples of these points give each cause.
         figures: of all of them.
     """
 
+    run: Path
     number: int
-    kind: str
-    what: str
-    stated: str
+    case: FailureCase
     found: str
     shares: dict[str, float]
     figures: dict[str, float]
@@ -42,86 +51,125 @@ class Recounted:
     @property
     def holds(self) -> bool:
         """Whether other points of the case may have the stated cause."""
-        return self.shares.get(self.stated, 0.0) >= 0.025
+        return self.shares.get(self.case.cause or "", 0.0) >= 0.025
+
+    def __str__(self) -> str:
+        case = self.case
+        figures = {name: round(value, 2) for name, value in self.figures.items()}
+        return (
+            f"{self.run.name} {self.number} {case.kind} {case.what}: {case.cause!r}, "
+            f"recounted {self.found!r} {figures}"
+        )
 
 
-class Surroundings(Returns):
-    """The returns of one scan, also by place, and its dynamic points."""
+@dataclass(frozen=True)
+class CasePoints:
+    """Points of a listed case, (K, 3) metres, world frame, and the frames that measured them."""
+
+    case: FailureCase
+    points: np.ndarray
+    frames: np.ndarray
+
+
+class Surroundings:
+    """The returns of one scan by place, and its dynamic points."""
 
     def __init__(self, scan: Scan) -> None:
-        super().__init__(scan)
-        self.points = np.asarray(scan.points, float)
-        self.space = cKDTree(np.nan_to_num(self.points, nan=1e9, posinf=1e9, neginf=1e9))
-        labels = np.asarray(scan.labels)
-        self.movers = cKDTree(self.points[labels == 1]) if (labels == 1).any() else None
+        points = np.asarray(scan.points, float)
+        self.sensor = np.asarray(scan.origins[0], float)
+        self.points = points[np.isfinite(points).all(1)]
+        self.space = cKDTree(self.points)
+        dynamic = np.isfinite(points).all(1) & (np.asarray(scan.labels) == 1)
+        self.movers = cKDTree(points[dynamic]) if dynamic.any() else None
 
     def normals(self, places: np.ndarray) -> np.ndarray:
         """(K, 3) unit normals of the surfaces through own points; NaN where they are on none."""
         found = np.full((len(places), 3), np.nan)
-        for k, place in enumerate(places):
-            for reach in (0.4, 0.8, 1.6):
-                around = self.space.query_ball_point(place, reach)
-                if len(around) < 4:
+        left = np.arange(len(places))
+        for reach in (0.4, 0.8, 1.6):  # half the edges of cubes
+            around = self.space.query_ball_point(places[left], reach, p=np.inf)
+            flat = np.zeros(len(left), bool)
+            for k, (at, near) in enumerate(zip(left, around, strict=True)):
+                if len(near) < 4:
                     continue
-                spread, axes = np.linalg.eigh(np.cov(self.points[around].T))
-                if spread[0] < 0.07**2 and spread[1] > 0.15**2:
-                    found[k] = axes[:, 0]
-                    break
+                spread, axes = np.linalg.eigh(np.cov(self.points[near].T))
+                flat[k] = spread[0] < 0.07**2 and spread[1] > 0.15**2
+                if flat[k]:
+                    found[at] = axes[:, 0]
+            left = left[~flat]
         ways = (places - self.sensor) / np.linalg.norm(places - self.sensor, axis=1)[:, None]
-        along_ring = np.abs((ways * found).sum(1)) < np.sin(np.radians(1.0))
+        with np.errstate(invalid="ignore"):
+            along_ring = np.abs((ways * found).sum(1)) < np.sin(np.radians(1.0))
         found[along_ring] = np.nan
         return found
 
 
-def wrong_points(
-    case: dict[str, Any], scans: list[Any], removed: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 3) points of a case, and the frames that measured them."""
-    kept = case["kind"] == "false_negative"
-    rounded = 0.006  # metres: corners have two decimals
-    low = np.array(case["low"]) - rounded
-    high = np.array(case["high"]) + rounded
-    points = []
-    frames = []
-    for k in range(case["first_frame"], case["last_frame"] + 1):
+def points_of_cases(run: Run, scans: list[Scan]) -> list[CasePoints]:
+    """Up to ``SAMPLE`` points of each listed case, if possible others than those of the run."""
+    labels = run.labeller
+    with mock.patch.object(failures, "LOOKED_AT", 4 * RUN):
+        metric = failures.FailuresMetric(registry.load("methods", run.result.method).info)
+        for k, scan in enumerate(scans):
+            answer = labels.label(scan)
+            metric.update(Labelled.of(k, scan, answer.dynamic, answer.reasons, answer.answered))
+        metric.places()
+        found = [each.sample for each in metric._found]
+    cases = run.result.failures
+    assert len(found) == len(cases)
+    every = []
+    for number, (case, sample) in enumerate(zip(cases, found, strict=True), 1):
+        sample = sample[np.argsort(sample["priority"])]
+        assert len(sample) == min(case.points, 4 * RUN), f"case {number} has other points"
+        others = sample[RUN:] if len(sample) >= RUN + LEAST else sample
+        chosen = others[:SAMPLE]
+        check_points(case, chosen, scans, labels)
+        every.append(CasePoints(case, chosen["xyz"].astype(float), chosen["frame"].astype(int)))
+    return every
+
+
+def check_points(case: FailureCase, chosen: np.ndarray, scans: list[Scan], labels: Any) -> None:
+    """Check that points of a case are wrong, of its object and class, and in its box and frames."""
+    kept = case.kind == "false_negative"
+    assert (chosen["xyz"] >= np.array(case.low) - ROUNDED).all()
+    assert (chosen["xyz"] <= np.array(case.high) + ROUNDED).all()
+    for k in np.unique(chosen["frame"]):
+        assert case.first_frame <= k <= case.last_frame
+        rows = chosen["row"][chosen["frame"] == k]
         scan = scans[k]
-        place = np.asarray(scan.points, float)
-        chosen = (place >= low).all(1) & (place <= high).all(1)
-        chosen &= (removed[k] != kept) & (np.asarray(scan.labels) == (1 if kept else 0))
-        if case.get("instance") is not None and scan.instances is not None:
-            chosen &= np.asarray(scan.instances) == case["instance"]
-        if case.get("class") is not None and scan.classes is not None:
-            chosen &= np.asarray(scan.classes) == case["class"]
-        points.append(place[chosen])
-        frames.append(np.full(int(chosen.sum()), k))
-    return np.concatenate(points), np.concatenate(frames)
+        assert (np.asarray(scan.labels)[rows] == kept).all()
+        assert (labels.label(scan).dynamic[rows] != kept).all()
+        if case.instance is not None:
+            assert (np.asarray(scan.instances)[rows] == case.instance).all()
+        if case.class_ is not None:
+            assert (np.asarray(scan.classes)[rows] == case.class_).all()
 
 
-def looked_at(
-    points: np.ndarray, frames: np.ndarray, every: list[Surroundings], cap: float
-) -> dict[str, np.ndarray]:
+def looked_at(points: np.ndarray, frames: np.ndarray, scans: list[Scan]) -> dict[str, np.ndarray]:
     """What the other scans saw at each point: (K,) of each name."""
     normals = np.full(points.shape, np.nan)
     mover = np.full(len(points), np.inf)
     for k in np.unique(frames):
         own = frames == k
-        normals[own] = every[k].normals(points[own])
-        if every[k].movers is not None:
-            mover[own] = every[k].movers.query(points[own])[0]
-    looks = np.empty((len(every), len(points)), int)
+        around = Surroundings(scans[k])
+        normals[own] = around.normals(points[own])
+        if around.movers is not None:
+            mover[own] = around.movers.query(points[own])[0]
+    looks = np.empty((len(scans), len(points)), np.int8)
     grazing = np.zeros(looks.shape, bool)
     close = np.zeros(looks.shape, bool)
-    for k, returns in enumerate(every):
-        code, behind, ways = returns.look(points, cap)
+    cap = Returns(scans[0]).parts[0].spacing()
+    for k, scan in enumerate(scans):
+        code, behind, ways = Returns(scan).look(points, cap)
         looks[k] = np.where(frames == k, -1, code)
-        grazing[k] = np.abs((ways * normals).sum(1)) < GRAZING
+        with np.errstate(invalid="ignore"):
+            grazing[k] = np.abs((ways * normals).sum(1)) < GRAZING
         close[k] = behind < 1.0
     through = looks == THROUGH
     hit = looks == HIT
     hit[frames, np.arange(len(frames))] = True
     first = hit.argmax(0)
-    last = len(every) - 1 - hit[::-1].argmax(0)
-    number = np.arange(len(every))[:, None]
+    last = len(scans) - 1 - hit[::-1].argmax(0)
+    number = np.arange(len(scans))[:, None]
     known = np.isfinite(normals[:, 0])
     return {
         **{name: (looks == code).sum(0) for code, name in enumerate(NAMES)},
@@ -157,9 +205,9 @@ def causes_of(kept: bool, found: dict[str, np.ndarray], word: Any) -> tuple[str,
     count = len(found["hit"])
     decide = kept_cause if kept else removed_cause
     rng = np.random.default_rng(2)
-    drawn = [decide(figures(found, rng.integers(0, count, count)), word) for _ in range(SAMPLES)]
+    drawn = [decide(figures(found, rng.integers(0, count, count)), word) for _ in range(DRAWN)]
     names, times = np.unique(drawn, return_counts=True)
-    shares = dict(zip(names.tolist(), (times / SAMPLES).tolist(), strict=True))
+    shares = dict(zip(names.tolist(), (times / DRAWN).tolist(), strict=True))
     return decide(figures(found, np.arange(count)), word), shares
 
 
@@ -201,34 +249,31 @@ def removed_cause(found: dict[str, float], word: Any) -> str:
     return "seen through at other times" if apart > 0.5 else "thin or rough"
 
 
-class Drive:
-    """All scans of a sequence, ready to be searched."""
-
-    def __init__(self, sequence: str) -> None:
-        opened = dv.open(sequence)
-        self.scans = [opened[k] for k in range(len(opened))]
-        self.every = [Surroundings(scan) for scan in self.scans]
-        self.cap = self.every[0].spacing()
+def scans_of(sequence: str) -> list[Scan]:
+    """All scans of a sequence."""
+    opened = dv.open(sequence)
+    return [opened[k] for k in range(len(opened))]
 
 
-def recounted(run: Path, drive: Drive, first: int = 100) -> list[Recounted]:
-    """The listed cases of a run on a drive, recounted."""
-    result = msgspec.json.decode((run / "result.json").read_bytes())
-    stored = np.load(run / "labels.npz")
-    ends = np.r_[0, np.cumsum(stored["points"])]
-    dynamic = np.unpackbits(stored["dynamic"])[: ends[-1]].astype(bool)
-    removed = [dynamic[ends[k] : ends[k + 1]] for k in range(len(drive.scans))]
-    rng = np.random.default_rng(1)
+def recounted(runs: Iterable[Path], scans: list[Scan]) -> list[Recounted]:
+    """The listed cases of runs on a drive, recounted."""
+    cases = []
+    for folder in runs:
+        every = points_of_cases(open_run(folder), scans)
+        cases += [(folder, number, each) for number, each in enumerate(every, 1)]
+    seen = looked_at(
+        np.concatenate([each.points for _, _, each in cases]),
+        np.concatenate([each.frames for _, _, each in cases]),
+        scans,
+    )
     found = []
-    for number, case in enumerate(result["failures"]["cases"][:first], 1):
-        points, frames = wrong_points(case, drive.scans, removed)
-        assert len(points), f"case {number} has no point: {case}"
-        chosen = rng.choice(len(points), min(SAMPLE, len(points)), replace=False)
-        kept = case["kind"] == "false_negative"
-        seen = looked_at(points[chosen], frames[chosen], drive.every, drive.cap)
-        cause, shares = causes_of(kept, seen, case.get("word"))
-        every_point = figures(seen, np.arange(len(chosen)))
-        found.append(
-            Recounted(number, case["kind"], case["what"], case["cause"], cause, shares, every_point)
-        )
+    start = 0
+    for folder, number, each in cases:
+        rows = slice(start, start + len(each.points))
+        start = rows.stop
+        own = {name: values[rows] for name, values in seen.items()}
+        kept = each.case.kind == "false_negative"
+        cause, shares = causes_of(kept, own, each.case.word)
+        every_point = figures(own, np.arange(len(each.points)))
+        found.append(Recounted(folder, number, each.case, cause, shares, every_point))
     return found

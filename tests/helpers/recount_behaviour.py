@@ -1,0 +1,223 @@
+"""Recounts the behaviour of failure cases from all points of a drive.
+
+Uses none of the product's code for tracks, motion or visits; only the points of each case are
+grouped by it, as in ``recount``. ``eval/README.md`` states the criteria.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dynaviz.contracts.scan import Scan
+from dynaviz.runs.run import open_run
+from dynaviz.scores.failure_case import FailureCase
+from dynaviz_eval.ground import scan_heights
+from helpers.recount import DRAWN, CasePoints, points_of_cases
+
+WINDOW = 10  # frames
+STILL = 0.5  # metres
+END = 10  # frames
+LATE = 0.75  # of the drive
+FAR = 30.0  # metres
+BRIEF = 5  # frames
+CELL = 0.5  # metres
+PLACE = 1.0  # metres
+
+
+@dataclass(frozen=True)
+class RecountedBehaviour:
+    """A listed case: what it is said to have done, and the words that its points allow."""
+
+    run: Path
+    number: int
+    case: FailureCase
+    allowed: frozenset[str]
+    figures: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether the points allow what was said."""
+        return self.case.behaviour in self.allowed
+
+    def __str__(self) -> str:
+        case = self.case
+        return (
+            f"{self.run.name} {self.number} {case.kind} {case.what} {case.instance} in "
+            f"{case.first_frame}-{case.last_frame}: {case.behaviour!r}, recounted "
+            f"{sorted(self.allowed)} {self.figures}"
+        )
+
+
+def cells_of(points: np.ndarray, size: float, axes: int) -> np.ndarray:
+    """(K, axes) cells of points."""
+    return np.floor(points[:, :axes] / size).astype(np.int64)
+
+
+def keys_around(cells: np.ndarray) -> set[tuple[int, ...]]:
+    """Cells and those that touch them."""
+    steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * cells.shape[1]), -1).reshape(-1, cells.shape[1])
+    around = np.unique(
+        (np.unique(cells, axis=0)[:, None] + steps).reshape(-1, cells.shape[1]), axis=0
+    )
+    return set(map(tuple, around.tolist()))
+
+
+def touches(points: np.ndarray, others: np.ndarray, axes: int) -> np.ndarray:
+    """(K,) bool: whether other points lie in the cell of each, or in one that touches it."""
+    if not len(others) or not len(points):
+        return np.zeros(len(points), bool)
+    near = keys_around(cells_of(others, CELL, axes))
+    return np.array([cell in near for cell in map(tuple, cells_of(points, CELL, axes).tolist())])
+
+
+def finite(scan: Scan) -> np.ndarray:
+    return np.isfinite(np.asarray(scan.points, float)).all(1)
+
+
+class ObjectTrack:
+    """All dynamic points of one object of the truth, frame by frame."""
+
+    def __init__(self, case: FailureCase, scans: list[Scan]) -> None:
+        self.frames = []
+        self.low = []
+        self.high = []
+        self.ranges = []
+        self.touching = []
+        for k, scan in enumerate(scans):
+            own = (np.asarray(scan.instances) == case.instance) & (np.asarray(scan.labels) == 1)
+            own &= finite(scan)
+            if case.class_ is not None:
+                own &= np.asarray(scan.classes) == case.class_
+            if not own.any():
+                continue
+            points = np.asarray(scan.points[own], float)
+            self.frames.append(k)
+            self.low.append(points[:, :2].min(0))
+            self.high.append(points[:, :2].max(0))
+            origins = np.broadcast_to(scan.origins, scan.points.shape)[own]
+            self.ranges.append(np.linalg.norm(points - origins, axis=1))
+            if case.first_frame <= k <= case.last_frame:
+                heights = scan_heights(scan)
+                standing = (np.asarray(scan.labels) == 0) & (heights >= 0.25) & (heights < 3.0)
+                others = np.asarray(scan.points[standing & finite(scan)], float)
+                self.touching.append(touches(points, others, 2))
+            else:
+                self.touching.append(np.zeros(0, bool))
+
+    def standing(self, still: float) -> set[int]:
+        """Frames in which both ends of its box moved by less than this in ten frames."""
+        found = set()
+        for i, first in enumerate(self.frames):
+            later = [j for j, frame in enumerate(self.frames) if frame >= first + WINDOW]
+            if not later:
+                continue
+            j = later[0]
+            low = self.low[j] - self.low[i]
+            high = self.high[j] - self.high[i]
+            same = np.sign(low) * np.sign(high) > 0
+            moved = np.where(same, np.minimum(np.abs(low), np.abs(high)), 0.0)
+            if np.linalg.norm(moved) < still:
+                found |= set(self.frames[i : j + 1])
+        return found
+
+    def behaviour(self, case: FailureCase, end: int, still: float) -> str:
+        """What it did in the frames of a case."""
+        stood = self.standing(still)
+        own = [k for k in self.frames if case.first_frame <= k <= case.last_frame]
+        if all(k in stood for k in self.frames if k >= own[-1]):
+            return "stood still until the end"
+        if all(k in stood for k in self.frames if k <= own[0]):
+            return "waited first"
+        if any(k in stood for k in own):
+            return "stopped on its way"
+        if self.frames[0] > max(end - END, LATE * end):
+            return "end of the drive"
+        if self.frames[0] > LATE * end and self.frames[-1] > end - END:
+            return "arrived late"
+        rows = [self.frames.index(k) for k in own]
+        if np.concatenate([self.ranges[row] for row in rows]).mean() > FAR:
+            return "far away"
+        touching = np.concatenate([self.touching[row] for row in rows]).mean()
+        return "touched something" if touching > 0.5 else "passed by"
+
+
+def place_words(each: CasePoints, scans: list[Scan], visits: np.ndarray) -> frozenset[str]:
+    """What a static place may have done: by samples of the points of its case.
+
+    Args:
+        each: points of the case.
+        scans: of the drive.
+        visits: (K, 3) first, last and number of frames that hit each cell of its box.
+    """
+    near = np.zeros(len(each.points), bool)
+    away = np.zeros(len(each.points))
+    for k in np.unique(each.frames):
+        own = each.frames == k
+        scan = scans[k]
+        dynamic = (np.asarray(scan.labels) == 1) & finite(scan)
+        near[own] = touches(each.points[own], np.asarray(scan.points[dynamic], float), 3)
+        away[own] = np.linalg.norm(each.points[own] - scan.origins.mean(0), axis=1)
+    rng = np.random.default_rng(3)
+    words = []
+    first, last, frames = np.median(visits, axis=0)
+    for _ in range(DRAWN):
+        rows = rng.integers(0, len(near), len(near))
+        if near[rows].mean() > 0.5:
+            words.append("next to a mover")
+        elif away[rows].mean() > FAR:
+            words.append("far away")
+        elif frames <= BRIEF:
+            words.append("seen briefly")
+        elif first > LATE * (len(scans) - 1):
+            words.append("seen late")
+        else:
+            gaps = 2 * frames < last - first + 1
+            words.append("seen on and off" if gaps else "always in view")
+    return frozenset(word for word in words if words.count(word) >= 0.025 * DRAWN)
+
+
+def visited(cases: list[FailureCase], scans: list[Scan]) -> list[np.ndarray]:
+    """For each case (K, 3): first, last and number of frames that hit each cell of its box."""
+    seen: list[dict[tuple[int, ...], list[int]]] = [{} for _ in cases]
+    for k, scan in enumerate(scans):
+        cells = np.unique(cells_of(np.asarray(scan.points[finite(scan)], float), PLACE, 3), axis=0)
+        for case, places in zip(cases, seen, strict=True):
+            low = np.floor(np.array(case.low) / PLACE)
+            high = np.floor(np.array(case.high) / PLACE)
+            for cell in cells[((cells >= low) & (cells <= high)).all(1)]:
+                places.setdefault(tuple(cell.tolist()), []).append(k)
+    return [
+        np.array([(frames[0], frames[-1], len(frames)) for frames in places.values()])
+        for places in seen
+    ]
+
+
+def recounted_behaviours(runs: Iterable[Path], scans: list[Scan]) -> list[RecountedBehaviour]:
+    """The listed cases of runs on a drive, except objects without a number."""
+    found = []
+    tracks: dict[tuple[int | None, int, int, int], ObjectTrack] = {}
+    for folder in runs:
+        every = points_of_cases(open_run(folder), scans)
+        removed = [each.case for each in every if each.case.kind == "false_positive"]
+        hits = iter(visited(removed, scans))
+        for number, each in enumerate(every, 1):
+            case = each.case
+            if case.kind == "false_positive":
+                visits = next(hits)
+                words = place_words(each, scans, visits)
+                figures = f"first, last, frames {np.median(visits, axis=0)}"
+            elif case.instance is None:
+                continue
+            else:
+                key = case.class_, case.instance, case.first_frame, case.last_frame
+                track = tracks.setdefault(key, ObjectTrack(case, scans))
+                end = len(scans) - 1
+                # a box that moves by 0.5 m, to a centimetre, may have stood or not
+                words = frozenset(track.behaviour(case, end, STILL + d) for d in (-0.01, 0, 0.01))
+                figures = f"seen {track.frames[0]}-{track.frames[-1]}"
+            found.append(RecountedBehaviour(folder, number, case, words, figures))
+    return found
