@@ -15,13 +15,13 @@ FRAMES = 2
 
 
 @njit(cache=True, nogil=True)
-def visit(points, begin, step, frame, size, keys, visits, used):
+def visit(points, begin, frame, size, keys, visits, used):
     """Count a frame for the cells of its points; stop where the table is half full.
 
     Args:
         points: (N, 3) float32, metres, world frame. Points that are not finite or too far away are
             skipped.
-        begin, step: number of the first point to count, and from each to the next.
+        begin: number of the first point to count.
         frame: position in the run.
         size: edge of a cell, metres.
         keys: (2^k,) int64: key of each cell, -1 if free. Modified.
@@ -34,7 +34,7 @@ def visit(points, begin, step, frame, size, keys, visits, used):
     inverse = 1.0 / size
     last = np.int64(-1)
     s = np.int64(0)
-    for i in range(begin, len(points), step):
+    for i in range(begin, len(points)):
         a = points[i, 0] * inverse
         b = points[i, 1] * inverse
         c = points[i, 2] * inverse

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I32, I64, Bool
-from dynaviz.contracts.looks import CountedLooks
+from dynaviz.arrays import F32, I32, I64, Bool, Intp
+from dynaviz.contracts.looks import CountedLooks, Look
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.kernels.keys import REACH as KEY_REACH
@@ -41,8 +41,6 @@ SAMPLED = 24  # of their points
 CELL = 1.0  # metres: edge of a cell of a place
 PLACES = 100_000  # cells in memory; more are stored on disk
 _RECORD = np.dtype([("key", np.int64), ("visits", np.int32, 3)])
-# points of a scan that look for its cells: consecutive points are much closer than a cell
-SAMPLE = 15_000
 
 
 class Objects:
@@ -291,11 +289,10 @@ class VisitedPlaces:
         """
         self._frame = frame
         begin = 0
-        step = max(1, len(points) // SAMPLE)
         visits = kernels.visits
         while begin < len(points):
             begin, self._used = visits.visit(
-                points, begin, step, frame, CELL, self._keys, self._visits, self._used
+                points, begin, frame, CELL, self._keys, self._visits, self._used
             )
             if begin < len(points):
                 self._keys, self._visits = visits.grow(
@@ -337,30 +334,36 @@ class VisitedPlaces:
         self._keys.fill(-1)
         self._used = 0
 
-    def behaviour(self, case: np.void) -> Behaviour | None:
-        """What the place of a case of static points did, given its row of ``summed``.
 
-        None if unknown.
-        """
-        return behaviour_of_place(case, self.visits(case["low"], case["high"]), self._frame)
+def hits_of(seen: CountedLooks, rows: Intp) -> I32:
+    """(K, 3) int32: the first and the last frame, and the number of frames, that hit places.
+
+    Args:
+        seen: what was seen.
+        rows: (K,) of the places.
+    """
+    frames = seen.counts[rows, Look.HIT] + 1  # their own
+    found: I32 = np.stack([seen.first_hit[rows], seen.last_hit[rows], frames], axis=1)
+    return found
 
 
-def behaviour_of_place(case: np.void, visits: I32, end: int) -> Behaviour | None:
+def behaviour_of_place(case: np.void, hits: I32, end: int) -> Behaviour | None:
     """How well a static place was seen; the first of the rules below that applies.
+
+    None if unknown.
 
     Args:
         case: the case, a row of ``summed``; ``touching`` counts points next to dynamic ones.
-        visits: (K, 3) first frame, last frame and number of frames in which each of its cells was
-            hit.
+        hits: (K, 3) first frame, last frame and number of frames that hit each of its points.
         end: the last frame of the drive.
     """
     if 2 * case["touching"] > case["points"]:
         return Behaviour.NEXT_TO_MOVER
     if case["ranges"] > FAR * case["points"]:
         return Behaviour.FAR_AWAY
-    if not len(visits):
+    if not len(hits):
         return None
-    first, last, frames = np.median(visits, axis=0)
+    first, last, frames = np.median(hits, axis=0)
     if frames <= BRIEF:
         return Behaviour.SEEN_BRIEFLY
     if first > LATE * end:

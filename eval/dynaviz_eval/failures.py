@@ -22,7 +22,7 @@ from dynaviz.scores.spans import LANES, Spans, spans_of
 from dynaviz.spatial.grid import in_key_range
 from dynaviz.spatial.surface import angles, surface_normals
 from dynaviz_eval.attribution import grazed_share, sentence, shape
-from dynaviz_eval.behaviour import Objects, VisitedPlaces, groups_of
+from dynaviz_eval.behaviour import Objects, behaviour_of_place, groups_of, hits_of
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts, gathered, summed
 from dynaviz_eval.causes import cause_of, looks_of
 from dynaviz_eval.ceiling import Evident, asked_places
@@ -36,6 +36,7 @@ ONE_PATCH = (
     0.9  # of the points of a case: with fewer in its largest patch, it is described as patches
 )
 LOOKED_AT = 128  # points of each listed case at which looks are taken
+SHOWN = 0.25  # of the looks at a case in a frame: fewer are not shown over time
 NOT_LISTED = "not listed, not measured"
 NO_REASON = Reason("unknown code", "the method gives no known reason")
 _UNLABELLED = 1 << 32  # the group of class 0
@@ -70,7 +71,6 @@ class FailuresMetric:
         self._asked = False
         self._seen: CountedLooks | None = None
         self._objects = Objects()
-        self._places = VisitedPlaces()
         self._grounded = True
         self._names: dict[int, str] = {}
         self._totals = dict.fromkeys(_KINDS, 0)
@@ -81,7 +81,6 @@ class FailuresMetric:
         """Join the wrong points of a scan into cases."""
         scan = labelled.scan
         if scan.labels is not None:
-            self._places.add(labelled.frame, scan.points)
             static, dynamic = (
                 int(np.count_nonzero(scan.labels == label))
                 for label in (Label.STATIC, Label.DYNAMIC)
@@ -254,10 +253,14 @@ class FailuresMetric:
         code = int(case["reasons"].argmax())
         reason = self._reasons[code] if code < len(self._reasons) else NO_REASON
         looks = None if self._seen is None or not len(rows) else looks_of(self._seen, rows)
-        behaviour = self._places.behaviour(case) if removed else self._objects.behaviour(own)
         if removed:
+            hits = np.empty((0, 3), np.int32)
+            if self._seen is not None:
+                hits = hits_of(self._seen, rows)
+            behaviour = behaviour_of_place(case, hits, self._frame)
             spans: Spans = {"removed": spans_of(np.unique(own["frame"]).tolist())}
         else:
+            behaviour = self._objects.behaviour(own)
             spans = self._objects.spans(own)
         if self._seen is not None and number < len(self._seen.by_frame):
             spans = {**spans, **spans_of_looks(self._seen.by_frame[number])}
@@ -307,15 +310,16 @@ class _Found:
 def spans_of_looks(by_frame: I32) -> Spans:
     """When scans hit the place of a case, saw through it, or saw nothing of it.
 
-    The most frequent look at its points in each frame decides.
+    In each frame the most frequent of the three decides, if it is at least ``SHOWN`` of the looks
+    at its points: the others are mostly between rays.
 
     Args:
         by_frame: (frames, 6) number of points by frame and ``Look``.
     """
     through = by_frame[:, Look.THROUGH] + by_frame[:, Look.GRAZING]
     parts = np.stack([by_frame[:, Look.HIT], through, by_frame[:, Look.HIDDEN]], 1)
-    none = by_frame[:, Look.BETWEEN] + by_frame[:, Look.OUTSIDE]
-    most = np.where(parts.max(1) >= np.maximum(none, 1), parts.argmax(1), -1)
+    least = np.maximum(SHOWN * by_frame.sum(1), 1)
+    most = np.where(parts.max(1) >= least, parts.argmax(1), -1)
     return {
         state: found
         for number, state in enumerate(LANES["looks"])

@@ -17,7 +17,7 @@ from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.scores.failure_case import FailureCase, RangeSpan
 from dynaviz.scores.spans import in_words, shared_objects
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, summed
-from dynaviz_eval.failures import FailuresMetric
+from dynaviz_eval.failures import FailuresMetric, spans_of_looks
 
 pytestmark = pytest.mark.boundscheck
 
@@ -285,3 +285,21 @@ def failure_case(cost: float, instance: int | None, spans: Any) -> FailureCase:
         class_=3,
         instance=instance, what="car", spans=spans,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("hit", "through", "grazing", "hidden", "unknown", "shown"),
+    [
+        (30, 0, 0, 0, 98, None),  # fewer than a quarter
+        (0, 20, 20, 0, 88, "through"),  # most rays miss it, and of the others most pass
+        (10, 20, 20, 39, 39, "through"),  # grazing rays pass, too
+        (60, 30, 0, 38, 0, "hit"),
+        (0, 0, 0, 32, 96, "hidden"),
+        (0, 0, 0, 0, 0, None),
+    ],
+)
+def test_the_most_frequent_look_is_shown_over_time_if_it_is_a_quarter(
+    hit: int, through: int, grazing: int, hidden: int, unknown: int, shown: str | None
+) -> None:
+    counts = np.array([[hit, through, grazing, hidden, unknown, 0]], np.int32)
+    assert spans_of_looks(counts) == ({} if shown is None else {shown: ((0, 0),)})

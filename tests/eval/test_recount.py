@@ -41,11 +41,11 @@ def test_causes_and_behaviours_hold_at_other_points(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["street_hdl64?frames=50", "hall_vlp16_real?frames=40"])
-def test_causes_and_behaviours_of_all_methods_hold(scene: str, tmp_path: Path) -> None:
+def test_both_hold_for_all_methods(scene: str, tmp_path: Path) -> None:
     check(f"simulate:{scene}", METHODS, tmp_path, 300)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
-def test_causes_and_behaviours_on_real_drives_hold(name: str, real_data: Path, tmp_path: Path) -> None:
+def test_both_hold_on_real_drives(name: str, real_data: Path, tmp_path: Path) -> None:
     check(str(real_data / REAL[name]), METHODS, tmp_path, 300)

@@ -51,7 +51,8 @@ class Recounted:
     @property
     def holds(self) -> bool:
         """Whether other points of the case may have the stated cause."""
-        return self.shares.get(self.case.cause or "", 0.0) >= 0.025
+        stated = self.case.cause or ""
+        return self.found == stated or self.shares.get(stated, 0.0) >= 0.025
 
     def __str__(self) -> str:
         case = self.case
@@ -205,7 +206,8 @@ def causes_of(kept: bool, found: dict[str, np.ndarray], word: Any) -> tuple[str,
     count = len(found["hit"])
     decide = kept_cause if kept else removed_cause
     rng = np.random.default_rng(2)
-    drawn = [decide(figures(found, rng.integers(0, count, count)), word) for _ in range(DRAWN)]
+    size = max(count // 2, 1)  # what the run found is a sample, too
+    drawn = [decide(figures(found, rng.integers(0, count, size)), word) for _ in range(DRAWN)]
     names, times = np.unique(drawn, return_counts=True)
     shares = dict(zip(names.tolist(), (times / DRAWN).tolist(), strict=True))
     return decide(figures(found, np.arange(count)), word), shares

@@ -57,21 +57,51 @@ def cells_of(points: np.ndarray, size: float, axes: int) -> np.ndarray:
     return np.floor(points[:, :axes] / size).astype(np.int64)
 
 
-def keys_around(cells: np.ndarray) -> set[tuple[int, ...]]:
-    """Cells and those that touch them."""
-    steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * cells.shape[1]), -1).reshape(-1, cells.shape[1])
-    around = np.unique(
-        (np.unique(cells, axis=0)[:, None] + steps).reshape(-1, cells.shape[1]), axis=0
-    )
-    return set(map(tuple, around.tolist()))
+def keys(cells: np.ndarray) -> np.ndarray:
+    """(K,) one number for each cell."""
+    return cells @ np.array([1, 1 << 20, 1 << 40])[: cells.shape[1]]
 
 
-def touches(points: np.ndarray, others: np.ndarray, axes: int) -> np.ndarray:
-    """(K,) bool: whether other points lie in the cell of each, or in one that touches it."""
-    if not len(others) or not len(points):
-        return np.zeros(len(points), bool)
-    near = keys_around(cells_of(others, CELL, axes))
-    return np.array([cell in near for cell in map(tuple, cells_of(points, CELL, axes).tolist())])
+class Neighbourhood:
+    """Cells of points, and those that touch them."""
+
+    def __init__(self, points: np.ndarray, axes: int) -> None:
+        self.axes = axes
+        steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * axes), -1).reshape(-1, axes)
+        cells = np.unique(cells_of(points, CELL, axes), axis=0)
+        self.keys = np.unique(keys((cells[:, None] + steps).reshape(-1, axes)))
+
+    def reached(self, points: np.ndarray) -> np.ndarray:
+        """(K,) bool: which points lie in it."""
+        return np.isin(keys(cells_of(points, CELL, self.axes)), self.keys)
+
+
+class Frames:
+    """Scans, and where their movers and what stands there reach."""
+
+    def __init__(self, scans: list[Scan]) -> None:
+        self.scans = scans
+        self.last = len(scans) - 1
+        self._movers: dict[int, Neighbourhood] = {}
+        self._standing: dict[int, Neighbourhood] = {}
+
+    def movers(self, k: int) -> Neighbourhood:
+        """Around the dynamic points of a scan."""
+        if k not in self._movers:
+            scan = self.scans[k]
+            dynamic = (np.asarray(scan.labels) == 1) & finite(scan)
+            self._movers[k] = Neighbourhood(np.asarray(scan.points[dynamic], float), 3)
+        return self._movers[k]
+
+    def standing(self, k: int) -> Neighbourhood:
+        """Around the static points of a scan at 0.25 to 3 m above the ground, in columns."""
+        if k not in self._standing:
+            scan = self.scans[k]
+            heights = scan_heights(scan)
+            static = (np.asarray(scan.labels) == 0) & (heights >= 0.25) & (heights < 3.0)
+            points = np.asarray(scan.points[static & finite(scan)], float)
+            self._standing[k] = Neighbourhood(points, 2)
+        return self._standing[k]
 
 
 def finite(scan: Scan) -> np.ndarray:
@@ -81,13 +111,13 @@ def finite(scan: Scan) -> np.ndarray:
 class ObjectTrack:
     """All dynamic points of one object of the truth, frame by frame."""
 
-    def __init__(self, case: FailureCase, scans: list[Scan]) -> None:
+    def __init__(self, case: FailureCase, drive: Frames) -> None:
         self.frames = []
         self.low = []
         self.high = []
         self.ranges = []
         self.touching = []
-        for k, scan in enumerate(scans):
+        for k, scan in enumerate(drive.scans):
             own = (np.asarray(scan.instances) == case.instance) & (np.asarray(scan.labels) == 1)
             own &= finite(scan)
             if case.class_ is not None:
@@ -100,13 +130,9 @@ class ObjectTrack:
             self.high.append(points[:, :2].max(0))
             origins = np.broadcast_to(scan.origins, scan.points.shape)[own]
             self.ranges.append(np.linalg.norm(points - origins, axis=1))
-            if case.first_frame <= k <= case.last_frame:
-                heights = scan_heights(scan)
-                standing = (np.asarray(scan.labels) == 0) & (heights >= 0.25) & (heights < 3.0)
-                others = np.asarray(scan.points[standing & finite(scan)], float)
-                self.touching.append(touches(points, others, 2))
-            else:
-                self.touching.append(np.zeros(0, bool))
+            here = case.first_frame <= k <= case.last_frame
+            none = np.zeros(0, bool)
+            self.touching.append(drive.standing(k).reached(points) if here else none)
 
     def standing(self, still: float) -> set[int]:
         """Frames in which both ends of its box moved by less than this in ten frames."""
@@ -145,22 +171,20 @@ class ObjectTrack:
         return "touched something" if touching > 0.5 else "passed by"
 
 
-def place_words(each: CasePoints, scans: list[Scan], visits: np.ndarray) -> frozenset[str]:
+def place_words(each: CasePoints, drive: Frames, visits: np.ndarray) -> frozenset[str]:
     """What a static place may have done: by samples of the points of its case.
 
     Args:
         each: points of the case.
-        scans: of the drive.
+        drive: its scans.
         visits: (K, 3) first, last and number of frames that hit each cell of its box.
     """
     near = np.zeros(len(each.points), bool)
     away = np.zeros(len(each.points))
     for k in np.unique(each.frames):
         own = each.frames == k
-        scan = scans[k]
-        dynamic = (np.asarray(scan.labels) == 1) & finite(scan)
-        near[own] = touches(each.points[own], np.asarray(scan.points[dynamic], float), 3)
-        away[own] = np.linalg.norm(each.points[own] - scan.origins.mean(0), axis=1)
+        near[own] = drive.movers(k).reached(each.points[own])
+        away[own] = np.linalg.norm(each.points[own] - drive.scans[k].origins.mean(0), axis=1)
     rng = np.random.default_rng(3)
     words = []
     first, last, frames = np.median(visits, axis=0)
@@ -172,7 +196,7 @@ def place_words(each: CasePoints, scans: list[Scan], visits: np.ndarray) -> froz
             words.append("far away")
         elif frames <= BRIEF:
             words.append("seen briefly")
-        elif first > LATE * (len(scans) - 1):
+        elif first > LATE * drive.last:
             words.append("seen late")
         else:
             gaps = 2 * frames < last - first + 1
@@ -182,22 +206,25 @@ def place_words(each: CasePoints, scans: list[Scan], visits: np.ndarray) -> froz
 
 def visited(cases: list[FailureCase], scans: list[Scan]) -> list[np.ndarray]:
     """For each case (K, 3): first, last and number of frames that hit each cell of its box."""
-    seen: list[dict[tuple[int, ...], list[int]]] = [{} for _ in cases]
+    hits = []
     for k, scan in enumerate(scans):
         cells = np.unique(cells_of(np.asarray(scan.points[finite(scan)], float), PLACE, 3), axis=0)
-        for case, places in zip(cases, seen, strict=True):
-            low = np.floor(np.array(case.low) / PLACE)
-            high = np.floor(np.array(case.high) / PLACE)
-            for cell in cells[((cells >= low) & (cells <= high)).all(1)]:
-                places.setdefault(tuple(cell.tolist()), []).append(k)
-    return [
-        np.array([(frames[0], frames[-1], len(frames)) for frames in places.values()])
-        for places in seen
-    ]
+        hits.append(np.column_stack([cells, np.full(len(cells), k)]))
+    every = np.concatenate(hits)
+    found = []
+    for case in cases:
+        low = np.floor(np.array(case.low) / PLACE)
+        high = np.floor(np.array(case.high) / PLACE)
+        here = every[((every[:, :3] >= low) & (every[:, :3] <= high)).all(1)]
+        _, of = np.unique(here[:, :3], axis=0, return_inverse=True)
+        frames = [here[of == cell, 3] for cell in range(of.max(initial=-1) + 1)]
+        found.append(np.array([(each.min(), each.max(), len(each)) for each in frames]))
+    return found
 
 
 def recounted_behaviours(runs: Iterable[Path], scans: list[Scan]) -> list[RecountedBehaviour]:
     """The listed cases of runs on a drive, except objects without a number."""
+    drive = Frames(scans)
     found = []
     tracks: dict[tuple[int | None, int, int, int], ObjectTrack] = {}
     for folder in runs:
@@ -208,16 +235,17 @@ def recounted_behaviours(runs: Iterable[Path], scans: list[Scan]) -> list[Recoun
             case = each.case
             if case.kind == "false_positive":
                 visits = next(hits)
-                words = place_words(each, scans, visits)
+                words = place_words(each, drive, visits)
                 figures = f"first, last, frames {np.median(visits, axis=0)}"
             elif case.instance is None:
                 continue
             else:
                 key = case.class_, case.instance, case.first_frame, case.last_frame
-                track = tracks.setdefault(key, ObjectTrack(case, scans))
-                end = len(scans) - 1
+                track = tracks.setdefault(key, ObjectTrack(case, drive))
                 # a box that moves by 0.5 m, to a centimetre, may have stood or not
-                words = frozenset(track.behaviour(case, end, STILL + d) for d in (-0.01, 0, 0.01))
+                words = frozenset(
+                    track.behaviour(case, drive.last, STILL + d) for d in (-0.01, 0, 0.01)
+                )
                 figures = f"seen {track.frames[0]}-{track.frames[-1]}"
             found.append(RecountedBehaviour(folder, number, case, words, figures))
     return found

@@ -28,6 +28,7 @@ from dynaviz.scores.comparison.counts import (
     scores,
 )
 from dynaviz.scores.comparison.frame_answers import BAND_NAMES
+from dynaviz.scores.comparison.objects import ObjectChange, object_changes
 from dynaviz.scores.comparison.settings import (
     RuntimeRatio,
     SettingChange,
@@ -39,7 +40,7 @@ from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percent
 from dynaviz.scores.sections import Runtime
 
-MOST = 10  # frames and places listed, at most
+MOST = 10  # frames, places and objects listed, at most
 
 ReasonNames = Mapping[int, str]  # by code
 
@@ -250,6 +251,8 @@ class PairComparison:
         removed: what the runs removed, if there is no ground truth; else None.
         over_movers: 95 % intervals of the change of DA and AA if the movers are drawn again; empty
             if movers are few or unknown.
+        objects: moving objects with a number of which they removed different shares, at most
+            ``MOST``, those that change DA most first.
     """
 
     first: str
@@ -265,6 +268,7 @@ class PairComparison:
     runtime: RuntimeRatio
     removed: RemovalComparison | None = None
     over_movers: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    objects: tuple[ObjectChange, ...] = ()
 
 
 def compare_pair(
@@ -301,6 +305,7 @@ def compare_pair(
         runtime=runtime_ratio(*results),
         removed=_removals(counts, reasons),
         over_movers=change_intervals(*results),
+        objects=object_changes(*results)[:MOST],
     )
 
 

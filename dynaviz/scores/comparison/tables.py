@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dynaviz.scores.comparison.counts import WRONG
+from dynaviz.scores.comparison.objects import ObjectChange, ObjectFate
 from dynaviz.scores.comparison.pair import (
     Agreement,
     ComparedRun,
@@ -57,6 +58,8 @@ def sections(
         yield _scores_of_two(first, second, pair)
         yield _agreement(first, second, pair)
         yield _reasons(pair)
+        if pair.objects:
+            yield _objects(pair.objects)
         yield _frames(pair)
         yield _places(pair)
     else:
@@ -221,13 +224,50 @@ def _frames(pair: PairComparison) -> TableSection:
     return TableSection("Frames that change most", ("frame", *_CHANGES), tuple(rows), note)
 
 
+def _objects(objects: Sequence[ObjectChange]) -> TableSection:
+    head = (
+        "object",
+        "frames",
+        "points",
+        "A removed",
+        "B removed",
+        "DA gain",
+        "why the rest is kept",
+    )
+    rows = [
+        (
+            each.what,
+            f"{each.first_frame}-{each.last_frame}",
+            f"{each.points:,}",
+            f"{each.first.removed:.0f} %",
+            f"{each.second.removed:.0f} %",
+            f"{each.gain_DA:+.2f}",
+            _why_kept(each),
+        )
+        for each in objects
+    ]
+    note = "Of the run that removed less: its case, and the cause that was measured there"
+    return TableSection("Moving objects that change most", head, tuple(rows), note)
+
+
+def _why_kept(change: ObjectChange) -> str:
+    """Why the run that removed less kept the rest."""
+    letter = "A" if change.gain_DA > 0 else "B"
+    worse: ObjectFate = change.first if change.gain_DA > 0 else change.second
+    if worse.case is None:
+        return "not among the listed cases"
+    return f"{letter} case {worse.case}: {worse.cause or 'unknown'}"
+
+
 def _places(pair: PairComparison) -> TableSection:
-    title = "Places that change most"
+    """Places; only those with static points in question if moving objects are listed by name."""
+    title = "Static places that change most" if pair.objects else "Places that change most"
     if pair.places is None:
         return TableSection(title, ("place",), (), pair.places_note)
     rows = [
         (f"{number}", f"{row.low[0]:g}, {row.low[1]:g}", f"{row.frame}", *_change(row))
         for number, row in enumerate(pair.places, 1)
+        if row.gain_SA or not pair.objects
     ]
     return TableSection(title, ("#", "x, y [m]", "frame", *_CHANGES), tuple(rows), pair.places_note)
 
