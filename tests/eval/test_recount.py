@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from helpers.recount import recounted, scans_of
+from helpers.recount import look_at, recounted, scans_of
 from helpers.recount_behaviour import recounted_behaviours
 
 import dynaviz as dv
@@ -28,8 +28,9 @@ def check(sequence: str, methods: tuple[str, ...], folder: Path, least: int) -> 
         dv.run(method, sequence, out=folder / method, record="none")
     runs = [folder / method for method in methods]
     scans = scans_of(sequence)
-    causes = recounted(runs, scans)
-    behaviours = recounted_behaviours(runs, scans)
+    cases = look_at(runs, scans)
+    causes = recounted(cases)
+    behaviours = recounted_behaviours(cases, scans)
     false = [str(each) for each in (*causes, *behaviours) if not each.holds]
     assert min(len(causes), len(behaviours)) >= least
     assert len(false) <= (1 - HOLD) * (len(causes) + len(behaviours)), "\n".join(false)

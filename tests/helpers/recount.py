@@ -8,7 +8,7 @@ boxes of cases overlap. ``eval/README.md`` states the criteria.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -20,7 +20,7 @@ import dynaviz as dv
 from dynaviz.contracts import registry
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan
-from dynaviz.runs.run import Run, open_run
+from dynaviz.runs.run import open_run
 from dynaviz.scores.failure_case import ROUNDED, FailureCase
 from dynaviz_eval import failures
 from helpers.reference.looks import GRAZING, HIT, NAMES, THROUGH, Returns
@@ -65,11 +65,20 @@ class Recounted:
 
 @dataclass(frozen=True)
 class CasePoints:
-    """Points of a listed case, (K, 3) metres, world frame, and the frames that measured them."""
+    """Points of a listed case.
 
+    Attributes:
+        run: its folder; number: of the case.
+        points: (K, 3) metres, world frame; frames: (K,) that measured them.
+        seen: (K,) of each name: what the other scans saw there, from ``look_at``.
+    """
+
+    run: Path
+    number: int
     case: FailureCase
     points: np.ndarray
     frames: np.ndarray
+    seen: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class Surroundings:
@@ -105,8 +114,9 @@ class Surroundings:
         return found
 
 
-def points_of_cases(run: Run, scans: list[Scan]) -> list[CasePoints]:
+def points_of_cases(folder: Path, scans: list[Scan]) -> list[CasePoints]:
     """Up to ``SAMPLE`` points of each listed case, if possible others than those of the run."""
+    run = open_run(folder)
     labels = run.labeller
     with mock.patch.object(failures, "LOOKED_AT", 4 * RUN):
         metric = failures.FailuresMetric(registry.load("methods", run.result.method).info)
@@ -124,7 +134,8 @@ def points_of_cases(run: Run, scans: list[Scan]) -> list[CasePoints]:
         others = sample[RUN:] if len(sample) >= RUN + LEAST else sample
         chosen = others[:SAMPLE]
         check_points(case, chosen, scans, labels)
-        every.append(CasePoints(case, chosen["xyz"].astype(float), chosen["frame"].astype(int)))
+        points = chosen["xyz"].astype(float)
+        every.append(CasePoints(folder, number, case, points, chosen["frame"].astype(int)))
     return every
 
 
@@ -174,6 +185,8 @@ def looked_at(points: np.ndarray, frames: np.ndarray, scans: list[Scan]) -> dict
     known = np.isfinite(normals[:, 0])
     return {
         **{name: (looks == code).sum(0) for code, name in enumerate(NAMES)},
+        "first": first,
+        "last": last,
         "before": (through & (number < first)).sum(0),
         "after": (through & (number > last)).sum(0),
         "close": (through & close).sum(0),
@@ -257,25 +270,29 @@ def scans_of(sequence: str) -> list[Scan]:
     return [opened[k] for k in range(len(opened))]
 
 
-def recounted(runs: Iterable[Path], scans: list[Scan]) -> list[Recounted]:
-    """The listed cases of runs on a drive, recounted."""
-    cases = []
-    for folder in runs:
-        every = points_of_cases(open_run(folder), scans)
-        cases += [(folder, number, each) for number, each in enumerate(every, 1)]
+def look_at(runs: Iterable[Path], scans: list[Scan]) -> list[CasePoints]:
+    """Points of the listed cases of runs on a drive, and what the other scans saw there."""
+    cases = [each for folder in runs for each in points_of_cases(folder, scans)]
     seen = looked_at(
-        np.concatenate([each.points for _, _, each in cases]),
-        np.concatenate([each.frames for _, _, each in cases]),
+        np.concatenate([each.points for each in cases]),
+        np.concatenate([each.frames for each in cases]),
         scans,
     )
     found = []
     start = 0
-    for folder, number, each in cases:
+    for each in cases:
         rows = slice(start, start + len(each.points))
         start = rows.stop
-        own = {name: values[rows] for name, values in seen.items()}
+        found.append(replace(each, seen={name: values[rows] for name, values in seen.items()}))
+    return found
+
+
+def recounted(cases: Iterable[CasePoints]) -> list[Recounted]:
+    """The causes of cases, recounted."""
+    found = []
+    for each in cases:
         kept = each.case.kind == "false_negative"
-        cause, shares = causes_of(kept, own, each.case.word)
-        every_point = figures(own, np.arange(len(each.points)))
-        found.append(Recounted(folder, number, each.case, cause, shares, every_point))
+        cause, shares = causes_of(kept, each.seen, each.case.word)
+        every_point = figures(each.seen, np.arange(len(each.points)))
+        found.append(Recounted(each.run, each.number, each.case, cause, shares, every_point))
     return found

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.contracts.scan import Scan
-from dynaviz.runs.run import open_run
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz_eval.ground import scan_heights
-from helpers.recount import DRAWN, CasePoints, points_of_cases
+from helpers.recount import DRAWN, CasePoints
 
 WINDOW = 10  # frames
 STILL = 0.5  # metres
@@ -25,7 +24,6 @@ LATE = 0.75  # of the drive
 FAR = 30.0  # metres
 BRIEF = 5  # frames
 CELL = 0.5  # metres
-PLACE = 1.0  # metres
 
 
 @dataclass(frozen=True)
@@ -171,14 +169,8 @@ class ObjectTrack:
         return "touched something" if touching > 0.5 else "passed by"
 
 
-def place_words(each: CasePoints, drive: Frames, visits: np.ndarray) -> frozenset[str]:
-    """What a static place may have done: by samples of the points of its case.
-
-    Args:
-        each: points of the case.
-        drive: its scans.
-        visits: (K, 3) first, last and number of frames that hit each cell of its box.
-    """
+def place_words(each: CasePoints, drive: Frames) -> frozenset[str]:
+    """What a static place may have done: by samples of the points of its case."""
     near = np.zeros(len(each.points), bool)
     away = np.zeros(len(each.points))
     for k in np.unique(each.frames):
@@ -187,65 +179,49 @@ def place_words(each: CasePoints, drive: Frames, visits: np.ndarray) -> frozense
         away[own] = np.linalg.norm(each.points[own] - drive.scans[k].origins.mean(0), axis=1)
     rng = np.random.default_rng(3)
     words = []
-    first, last, frames = np.median(visits, axis=0)
-    for _ in range(DRAWN):
-        rows = rng.integers(0, len(near), len(near))
+    count = max(len(near) // 2, 1)  # what the run found is a sample, too
+    chosen = [rng.integers(0, len(near), count) for _ in range(DRAWN - 1)]
+    for rows in [np.arange(len(near)), *chosen]:
+        hits = np.median(each.seen["hit"][rows]) + 1
+        first = np.median(each.seen["first"][rows])
+        last = np.median(each.seen["last"][rows])
         if near[rows].mean() > 0.5:
             words.append("next to a mover")
         elif away[rows].mean() > FAR:
             words.append("far away")
-        elif frames <= BRIEF:
+        elif hits <= BRIEF:
             words.append("seen briefly")
         elif first > LATE * drive.last:
             words.append("seen late")
         else:
-            gaps = 2 * frames < last - first + 1
+            gaps = 2 * hits < last - first + 1
             words.append("seen on and off" if gaps else "always in view")
-    return frozenset(word for word in words if words.count(word) >= 0.025 * DRAWN)
+    some = {word for word in words if words.count(word) >= 0.025 * DRAWN}
+    return frozenset({words[0], *some})
 
 
-def visited(cases: list[FailureCase], scans: list[Scan]) -> list[np.ndarray]:
-    """For each case (K, 3): first, last and number of frames that hit each cell of its box."""
-    hits = []
-    for k, scan in enumerate(scans):
-        cells = np.unique(cells_of(np.asarray(scan.points[finite(scan)], float), PLACE, 3), axis=0)
-        hits.append(np.column_stack([cells, np.full(len(cells), k)]))
-    every = np.concatenate(hits)
-    found = []
-    for case in cases:
-        low = np.floor(np.array(case.low) / PLACE)
-        high = np.floor(np.array(case.high) / PLACE)
-        here = every[((every[:, :3] >= low) & (every[:, :3] <= high)).all(1)]
-        _, of = np.unique(here[:, :3], axis=0, return_inverse=True)
-        frames = [here[of == cell, 3] for cell in range(of.max(initial=-1) + 1)]
-        found.append(np.array([(each.min(), each.max(), len(each)) for each in frames]))
-    return found
-
-
-def recounted_behaviours(runs: Iterable[Path], scans: list[Scan]) -> list[RecountedBehaviour]:
-    """The listed cases of runs on a drive, except objects without a number."""
+def recounted_behaviours(
+    cases: Iterable[CasePoints], scans: list[Scan]
+) -> list[RecountedBehaviour]:
+    """The behaviours of cases on a drive, except those of objects without a number."""
     drive = Frames(scans)
     found = []
     tracks: dict[tuple[int | None, int, int, int], ObjectTrack] = {}
-    for folder in runs:
-        every = points_of_cases(open_run(folder), scans)
-        removed = [each.case for each in every if each.case.kind == "false_positive"]
-        hits = iter(visited(removed, scans))
-        for number, each in enumerate(every, 1):
-            case = each.case
-            if case.kind == "false_positive":
-                visits = next(hits)
-                words = place_words(each, drive, visits)
-                figures = f"first, last, frames {np.median(visits, axis=0)}"
-            elif case.instance is None:
-                continue
-            else:
-                key = case.class_, case.instance, case.first_frame, case.last_frame
-                track = tracks.setdefault(key, ObjectTrack(case, drive))
-                # a box that moves by 0.5 m, to a centimetre, may have stood or not
-                words = frozenset(
-                    track.behaviour(case, drive.last, STILL + d) for d in (-0.01, 0, 0.01)
-                )
-                figures = f"seen {track.frames[0]}-{track.frames[-1]}"
-            found.append(RecountedBehaviour(folder, number, case, words, figures))
+    for each in cases:
+        case = each.case
+        if case.kind == "false_positive":
+            words = place_words(each, drive)
+            figures = str({name: np.median(each.seen[name]) for name in ("hit", "first", "last")})
+        elif case.instance is None:
+            continue
+        else:
+            key = case.class_, case.instance, case.first_frame, case.last_frame
+            if key not in tracks:
+                tracks[key] = ObjectTrack(case, drive)
+            track = tracks[key]
+            # a box that moves by 0.5 m, to a centimetre, may have stood or not
+            near = (STILL - 0.01, STILL, STILL + 0.01)
+            words = frozenset(track.behaviour(case, drive.last, still) for still in near)
+            figures = f"seen {track.frames[0]}-{track.frames[-1]}"
+        found.append(RecountedBehaviour(each.run, each.number, case, words, figures))
     return found
