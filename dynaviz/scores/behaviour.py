@@ -17,6 +17,7 @@ class Behaviour(StrEnum):
     # Of dynamic objects that were kept.
     PASSED_BY = "passed by"  # kept moving while it was seen
     STOOD = "stood still until the end"  # from some frame on until it was last seen
+    CAME_TO_STOP = "came to a stop"  # the same, but it moved in most of the frames
     WAITED_FIRST = "waited first"  # stood still when it was first seen, and moved off later
     STOPPED = "stopped on its way"  # moved, stood still, and moved on
     # came into view near the end of the drive, and was still there when it ended

@@ -224,7 +224,7 @@ def behaviour_of_object(
     every = standing(track)
     stood = every[here]
     if stood[-1] and every[here.stop :].all():
-        return Behaviour.STOOD
+        return Behaviour.STOOD if 2 * stood.sum() >= len(stood) else Behaviour.CAME_TO_STOP
     if stood[0] and every[: here.start].all():
         return Behaviour.WAITED_FIRST
     if stood.any():

@@ -46,7 +46,8 @@ DRIVE, STAND = np.arange(30.0), np.zeros(20)
     ("x", "first", "fields", "expected"),
     [
         (DRIVE, 0, {}, Behaviour.PASSED_BY),
-        (np.append(DRIVE, STAND + 29), 0, {}, Behaviour.STOOD),
+        (np.append(DRIVE, STAND + 29), 0, {}, Behaviour.CAME_TO_STOP),
+        (np.append(DRIVE[10:], STAND + 29), 0, {}, Behaviour.STOOD),
         (STAND, 0, {}, Behaviour.STOOD),
         (np.append(STAND, DRIVE), 0, {}, Behaviour.WAITED_FIRST),
         (np.concatenate([DRIVE, STAND + 29, DRIVE + 30]), 0, {}, Behaviour.STOPPED),
@@ -75,7 +76,8 @@ ROUTE = np.concatenate([STAND, DRIVE, STAND + 29, DRIVE + 30, STAND + 59])
         ((25, 60), Behaviour.STOPPED),
         ((52, 68), Behaviour.STOPPED),
         ((75, 95), Behaviour.PASSED_BY),
-        ((75, 119), Behaviour.STOOD),
+        ((75, 119), Behaviour.CAME_TO_STOP),
+        ((85, 119), Behaviour.STOOD),
         ((110, 112), Behaviour.STOOD),
     ],
 )

@@ -153,7 +153,8 @@ class ObjectTrack:
         stood = self.standing(still)
         own = [k for k in self.frames if case.first_frame <= k <= case.last_frame]
         if all(k in stood for k in self.frames if k >= own[-1]):
-            return "stood still until the end"
+            share = np.mean([k in stood for k in own])
+            return "stood still until the end" if share >= 0.5 else "came to a stop"
         if all(k in stood for k in self.frames if k <= own[0]):
             return "waited first"
         if any(k in stood for k in own):
