@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -11,6 +12,7 @@ from dynaviz.errors import UsageError
 from dynaviz.scores.comparison.counts import ByScore
 from dynaviz.scores.comparison.pair import ComparedRun, ScoreChange
 from dynaviz.scores.comparison.summary import Comparison
+from dynaviz.scores.looks import Ceiling, Estimate
 from dynaviz.scores.sections import Runtime, SequenceInfo
 
 UNDEFINED = ScoreChange(None, None, None, None)
@@ -113,3 +115,18 @@ def test_tables_show_brackets_as_they_are() -> None:
     shown = str(comparison())
     assert "B dufomap[fine]" in shown
     assert "x, y [m]" in shown
+
+
+def test_what_the_drive_showed_stands_next_to_the_scores_if_it_is_known() -> None:
+    title = "What the drive showed of moving objects"
+    found = comparison()
+    assert title not in found.markdown()
+    known = Ceiling(
+        possible=Estimate(95.8, 0.4), kept_seen=Estimate(12.5), kept_unseen=Estimate(3.25)
+    )
+    runs = (replace(found.runs[0], ceiling=known), found.runs[1])
+    text = replace(found, runs=runs).markdown()
+    assert f"### {title}" in text
+    assert "| possible DA | 95.8 ±0.4 | n/a |" in text
+    assert "| kept, with evidence | 12.5 | n/a |" in text
+    json.dumps(replace(found, runs=runs).to_dict(), allow_nan=False)

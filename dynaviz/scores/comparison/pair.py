@@ -35,6 +35,7 @@ from dynaviz.scores.comparison.settings import (
     runtime_ratio,
     setting_changes,
 )
+from dynaviz.scores.looks import Ceiling
 from dynaviz.scores.movers import change_intervals
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percent
@@ -59,6 +60,8 @@ class ComparedRun:
             result.
         mode: how much its recording contains.
         scores: of the whole run.
+        ceiling: what the drive showed of its moving objects, and what the run made of it, without
+            single objects; None if unknown.
     """
 
     letter: str
@@ -76,6 +79,7 @@ class ComparedRun:
     runtime: Runtime
     instrumented: bool
     command: str
+    ceiling: Ceiling | None = None
 
     @property
     def label(self) -> str:

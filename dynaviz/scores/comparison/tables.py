@@ -19,6 +19,7 @@ from dynaviz.scores.comparison.pair import (
     RemovalComparison,
 )
 from dynaviz.scores.comparison.settings import text
+from dynaviz.scores.looks import Estimate
 from dynaviz.scores.scores import SCORES
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ def sections(
     elif len(pairs) == 1:
         first, second, pair = *runs, pairs[0]
         yield _scores_of_two(first, second, pair)
+        yield from _ceilings(runs)
         yield _agreement(first, second, pair)
         yield _reasons(pair)
         if pair.objects:
@@ -64,6 +66,7 @@ def sections(
         yield _places(pair)
     else:
         yield _scores_of_many(runs, pairs)
+        yield from _ceilings(runs)
     for run, pair in zip(runs[1:], pairs, strict=True):
         yield _settings(runs[0], run, pair)
 
@@ -139,6 +142,36 @@ def _scores_of_many(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]
         for run, change in zip(runs, changes, strict=True)
     ]
     return TableSection("Scores", head, tuple(rows), _SCORES_NOTE)
+
+
+_PARTS = {
+    "possible": "possible DA",
+    "removed_seen": "removed, with evidence",
+    "removed_unseen": "removed, without",
+    "kept_seen": "kept, with evidence",
+    "kept_unseen": "kept, without",
+}
+
+
+def _ceilings(runs: Sequence[ComparedRun]) -> Iterator[TableSection]:
+    """What the drive allows, and what each run made of it; nothing if no run knows."""
+    known = [run.ceiling for run in runs]
+    if not any(ceiling and ceiling.possible for ceiling in known):
+        return
+    rows = [
+        (words, *(_estimate(ceiling and getattr(ceiling, part)) for ceiling in known))
+        for part, words in _PARTS.items()
+    ]
+    note = (
+        "In % of the dynamic points. A point has evidence if another scan saw through its place; "
+        "the possible DA is the same for every method"
+    )
+    head = ("", *(run.label for run in runs))
+    yield TableSection("What the drive showed of moving objects", head, tuple(rows), note)
+
+
+def _estimate(value: Estimate | None) -> str:
+    return "n/a" if value is None else str(value)
 
 
 def _over_movers(pair: PairComparison, name: str) -> str:

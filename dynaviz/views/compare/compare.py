@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from dynaviz.arrays import U8
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import sha256
@@ -226,6 +228,7 @@ def _scores(counts: Sequence[AgreementCounts], i: int) -> Scores:
 
 
 def _run(i: int, name: str, recording: RunRecording, result: Result, scores: Scores) -> ComparedRun:
+    ceiling = result.sections.ceiling
     return ComparedRun(
         letter=LETTERS[i],
         name=name,
@@ -242,4 +245,5 @@ def _run(i: int, name: str, recording: RunRecording, result: Result, scores: Sco
         runtime=result.runtime,
         instrumented=result.instrumented,
         command=result.command,
+        ceiling=None if ceiling is None else msgspec.structs.replace(ceiling, objects=()),
     )
