@@ -226,13 +226,13 @@ def test_json(runs: dict[str, Path], tmp_path: Path) -> None:
     assert list(plain["runs"][0]) == [
         "letter", "name", "path", "sha256", "method", "title", "mode", "scoring", "online", "seed",
         "parameters",
-        "scores", "runtime", "instrumented", "command",
+        "scores", "runtime", "instrumented", "command", "ceiling",
     ]  # fmt: skip
     first = plain["pairs"][0]
     assert list(first) == [
         "first", "second", "scores", "right", "by_range", "by_reason", "frames", "places",
         "places_note", "differ",
-        "runtime", "removed", "over_movers",
+        "runtime", "removed", "over_movers", "objects",
     ]  # fmt: skip
     assert list(first["scores"]) == ["SA", "DA", "AA", "HA", "FP", "FN"]
     assert list(first["scores"]["FP"]) == ["first", "second", "delta", "interval"]

@@ -159,7 +159,7 @@ def _ceilings(runs: Sequence[ComparedRun]) -> Iterator[TableSection]:
     if not any(ceiling and ceiling.possible for ceiling in known):
         return
     rows = [
-        (words, *(_estimate(ceiling and getattr(ceiling, part)) for ceiling in known))
+        (words, *(_estimate(getattr(ceiling, part, None)) for ceiling in known))
         for part, words in _PARTS.items()
     ]
     note = (
