@@ -56,76 +56,50 @@ def cells_of(points, position, most, edge):
 
 
 @njit(cache=True, nogil=True)
-def _beneath(lowest, near, layer):
-    """Height of the ground under the sensor, metres from it.
+def lowest(heights, cells, wide):
+    """(wide, wide) float64, metres above the sensor: the lowest point of each cell.
 
-    The layer with the lowest points of most near cells.
-
-    The sensor may be on the ground itself, as far as poses know: what is less than a layer above it
-    can be ground.
-    """
-    middle = len(lowest) // 2
-    part = (
-        lowest[max(middle - near, 0) : middle + near + 1, max(middle - near, 0) : middle + near + 1]
-        .copy()
-        .ravel()
-    )
-    z = np.sort(part[part < layer])
-    number = np.searchsorted(z, z + layer) - np.arange(len(z))
-    return z[np.argmax(number)] + layer / 2 if len(z) else np.inf
-
-
-@njit(cache=True, nogil=True)
-def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
-    """The mean height of the lowest layer of points in each cell, and the number of its points.
-
-    One with less than a tenth of its cell's points is not ground: a few returns below it. Nor is
-    what a slope from the ground under the sensor cannot reach: a reflection.
+    Infinite without points.
 
     Args:
         heights: (N,) float32, metres above the sensor.
-        cells: (N,) int32, as from ``cells_of``; wide: cells along each axis; edge: of a cell,
-            metres.
+        cells: (N,) int32, as from ``cells_of``; wide: cells along each axis.
+    """
+    low = np.full(wide * wide, np.inf)
+    for i in range(len(cells)):
+        if cells[i] >= 0:
+            low[cells[i]] = min(low[cells[i]], np.float64(heights[i]))
+    return low.reshape(wide, wide)
+
+
+@njit(cache=True, nogil=True)
+def lowest_layers(heights, cells, least, layer):
+    """The mean height of the lowest layer of points in each cell, and the number of its points.
+
+    One with less than a tenth of its cell's points is not ground: a few returns below it.
+
+    Args:
+        heights: (N,) float32, metres above the sensor.
+        cells: (N,) int32, as from ``cells_of``.
+        least: (X, X) float64, metres: lower points of a cell do not count.
         layer: height of a layer, metres.
-        steep: slope of the steepest ground, as seen from the sensor, metres per metre.
-        margin: metres that ground may be lower than that.
-        near: number of cells around the sensor among which the ground under it is sought.
 
     Returns:
-        (wide, wide) float64, metres above the sensor, infinite without; and (wide, wide) int32.
+        (X, X) float64, metres above the sensor, infinite without; and (X, X) int32.
     """
-    n = wide * wide
-    middle = wide // 2
+    shape = least.shape
+    bounds = least.ravel()
+    n = len(bounds)
     low = np.full(n, np.float32(np.inf))
     summed = np.zeros(n, np.int64)
     total = np.zeros(n, np.int32)
     number = np.zeros(n, np.int32)
-    for i in range(len(cells)):
-        if cells[i] >= 0:
-            low[cells[i]] = min(low[cells[i]], heights[i])
-            total[cells[i]] += 1
-    level = _beneath(low.reshape(wide, wide), near, layer)
     found = np.full(n, np.inf)
-    if level == np.inf:
-        return found.reshape(wide, wide), number.reshape(wide, wide)
-    # the lowest ground of cells with points below it
-    least = np.full(n, -np.inf)
-    below = False
-    for c in range(n):
-        if low[c] < level - margin:
-            far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
-            possible = level - margin - steep * edge * far
-            if low[c] < possible:
-                least[c] = possible
-                low[c] = np.inf
-                total[c] = 0
-                below = True
-    if below:
-        for i in range(len(cells)):
-            c = cells[i]
-            if c >= 0 and heights[i] >= least[c] > -np.inf:
-                low[c] = min(low[c], heights[i])
-                total[c] += 1
+    for i in range(len(cells)):
+        c = cells[i]
+        if c >= 0 and heights[i] >= bounds[c]:
+            low[c] = min(low[c], heights[i])
+            total[c] += 1
     for i in range(len(cells)):
         c = cells[i]
         if c >= 0 and low[c] <= heights[i] < low[c] + layer:
@@ -134,7 +108,7 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     for c in range(n):
         if number[c] > 0 and 10 * number[c] >= total[c]:
             found[c] = summed[c] / (1e6 * number[c])
-    return found.reshape(wide, wide), number.reshape(wide, wide)
+    return found.reshape(shape), number.reshape(shape)
 
 
 @njit(cache=True, nogil=True)
@@ -221,6 +195,16 @@ def surface_of(lowest, steep, step):
     surface = lowest - plane
     _lower(surface, step)
     return surface + plane
+
+
+@njit(cache=True, nogil=True)
+def lowered(surface, deep, step):
+    """A surface (X, Y), lowered to deep cells (X, Y), and around them as far as ``step`` per cell
+    reaches; cells that are not deep are infinite.
+    """
+    reached = deep.copy()
+    _lower(reached, step)
+    return np.minimum(surface, reached)
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -1,6 +1,6 @@
-"""The ground of a scan, from this scan alone.
+"""The ground of a scan, from this scan, and the height of the sensor in those before it.
 
-Neither other scans, nor drift, nor other floors can change it.
+Neither reflections, nor drift, nor other floors can change it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ PIT = 2 * LAYER
 SLOPE = 0.1
 # both of them: steepest ground, as seen from the sensor; steeper are objects and reflections
 STEEP = 2 * SLOPE
+CLIFF = (
+    1.0  # metres per metre: slope around what lies too low for it, such as a road below a bridge
+)
 EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
 FULL = 5  # points: cells with fewer count less
 ROUNDS = 5  # iterations of a fit
@@ -42,23 +45,32 @@ class ScanGround:
         number: (X, X) uint8: points of the scan on the ground, at most 255.
         first: (2,) int64: the first cell, counted from the world's origin.
         z: metres, world frame: height of the sensor.
+        sensor_height: metres: of the sensor above the ground under it; minus infinity if unknown.
     """
 
     height: I16
     number: U8
     first: I64
     z: float
+    sensor_height: float
 
     @classmethod
-    def of(cls, points: F32, position: F64, reach: int = REACH) -> ScanGround:
+    def of(
+        cls, points: F32, position: F64, reach: int = REACH, height_before: float = -math.inf
+    ) -> ScanGround:
         """The ground around the sensor, grown from the level below it.
 
-        The lowest layers that slopes can reach.
+        The lowest layers that slopes can reach. What lies below ground that is seen, on a ray
+        that passes below it, is a reflection. What lies too low, but may be seen past the ground,
+        lowers the surface only around it.
 
         Args:
             points: (N, 3) float32, metres, world frame, z up: of one scan.
             position: (3,) float64, metres, world frame: the sensor's.
             reach: cells to each side of it, a power of two.
+            height_before: height of the sensor above the ground in earlier scans, metres; minus
+                infinity if unknown. What lies lower is taken for ground only if hardly anything
+                is there.
         """
         points = kernels.as_readonly(points, np.float32)
         position = kernels.as_readonly(position, np.float64)
@@ -67,22 +79,36 @@ class ScanGround:
         cells, wide, first = k.cells_of(points, position, reach, EDGE)
         with np.errstate(invalid="ignore"):
             heights = points[:, 2] - np.float32(z)
-        lowest, number = k.lowest_layers(
-            heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE)
-        )
+        reach_of = kernels.ground_reach
+        low = k.lowest(heights, cells, wide)
+        under = reach_of.level(low, math.ceil(NEAR / EDGE), LAYER, -height_before)
+        least = reach_of.lowest_possible(low, under, EDGE, STEEP, PIT)
+        layers, number = k.lowest_layers(heights, cells, least, LAYER)
         for _ in range(
             2
         ):  # reflections next to each other look like ground, until those below the others are gone
-            lowest[k.pits(lowest, PIT)] = np.inf
-        surface = k.surface_of(lowest, STEEP * EDGE, SLOPE * EDGE)
+            layers[k.pits(layers, PIT)] = np.inf
+        slopes = EDGE, STEEP, SLOPE, PIT
+        ground, gap, cut = reach_of.reached(layers, under, *slopes)
+        if cut.any():  # ground above reflections in the same cell
+            above = k.lowest_layers(heights, cells, np.where(cut, ground - PIT, np.inf), LAYER)
+            again = cut & (above[0] <= ground + SLOPE * EDGE * (1 + gap) + LAYER / 2)
+            layers[again] = above[0][again]
+            number[again] = above[1][again]
+            ground, gap, cut = reach_of.reached(layers, under, *slopes)
+        layers[reach_of.reflections(layers, ground, gap, cut, PIT)] = np.inf
+        deep = np.where(cut, layers, np.inf)
+        layers[cut] = np.inf
+        surface = k.lowered(k.surface_of(layers, STEEP * EDGE, SLOPE * EDGE), deep, CLIFF * EDGE)
+        layers = np.minimum(layers, deep)
         number = np.where(
-            (lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0
+            (layers < np.inf) & (layers <= surface + EXACT), np.minimum(number, 255), 0
         ).astype(np.uint8)
         weight = np.minimum(number, FULL) / FULL
         height = np.clip(np.rint(1000 * _filled(surface, weight)), -k.UNKNOWN, k.UNKNOWN).astype(
             np.int16
         )
-        return cls(height, number, first, z)
+        return cls(height, number, first, z, -under)
 
     def heights(self, points: F32) -> F32:
         """(N,) float32, metres: height of points (N, 3), world frame, above the ground.

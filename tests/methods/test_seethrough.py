@@ -579,6 +579,39 @@ def test_points_too_high_for_movers_are_kept() -> None:
     assert (codes == HIGH).all(), "even where they are seen clear"
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("online", [False, True])
+def test_reflections_below_the_road_in_some_scans_change_no_label_above_it(
+    online: bool, seed: int
+) -> None:
+    """A few or more than the ground itself, at any depth: cars are not too high for movers."""
+    random = np.random.default_rng(seed)
+    ground = np.concatenate([GROUND, plane(-20, 20, 0.5)])
+    places = np.linspace(-4, 4, 12)
+    scans = [seen(k, ground, wall(), block(7.0, y), block(4.0, 6.0)) for k, y in enumerate(places)]
+    mirrored = plane(-28, 28, random.uniform(0.4, 0.9), -random.uniform(4.5, 6.5))
+    mirrored = mirrored[random.random(len(mirrored)) < random.uniform(0.2, 1.0)]
+    wet = set(random.permutation(np.arange(1, 12))[:6].tolist())
+    reflected = [
+        seen(k, scan.points, mirrored) if k in wet else scan for k, scan in enumerate(scans)
+    ]
+
+    def answers(scans: list[Scan]) -> list[np.ndarray]:
+        method = begun(scans)
+        if online:
+            return [(method.observe(scan), method.label(scan).dynamic)[1] for scan in scans]
+        for scan in scans:
+            method.observe(scan)
+        return [method.label(scan).dynamic for scan in scans]
+
+    clean = answers(scans)
+    found = answers(reflected)
+    up = scans[0].points[:, 2] > 0.3
+    assert sum(each.sum() for each in clean) > 1000
+    for expected, each in zip(clean, found, strict=True):
+        assert (each[: len(expected)] != expected)[up].mean() < 0.001
+
+
 @pytest.mark.plain
 @given(st.integers(0, 2**32 - 1), st.integers(0, 3))
 @settings(max_examples=15)

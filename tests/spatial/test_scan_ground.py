@@ -1,9 +1,10 @@
-"""The ground of one scan: reflections, ramps, roofs, and nothing below the sensor."""
+"""The ground of one scan: reflections, ramps, roofs, other floors, nothing below the sensor."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.reflections import KINDS, SENSORS, below, road
 
 from dynaviz.spatial.scan_ground import EDGE, REACH, ScanGround
 from dynaviz.spatial.sensor_height import sensor_height
@@ -38,6 +39,63 @@ def test_scattered_reflections_below_a_slope_are_not_its_ground() -> None:
     assert np.abs(found[: len(ground)]).max() < 0.3
     assert found[len(ground) : -30] == pytest.approx(1.5, abs=0.2)
     assert (found[-30:] < -3).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_returns_from_beyond_the_road_do_not_change_its_ground(sensor: str, kind: str) -> None:
+    """Of any number, place and depth, with and without the height of the sensor in earlier scans.
+
+    Sensors that look forward do not see the road under themselves.
+    """
+    height = SENSORS[sensor][2]
+    changed = []
+    for seed in range(8):
+        rng = np.random.default_rng([seed, KINDS.index(kind)])
+        points, flat = road(rng, sensor)
+        more = below(rng, points, flat, height, kind)
+        both = np.concatenate([points, more]).astype(np.float32)
+        without = ScanGround.of(points.astype(np.float32), np.zeros(3)).heights(both)
+        for before in (height, -np.inf):
+            found = ScanGround.of(both, np.zeros(3), height_before=before).heights(both)
+            changed.append((np.abs(found - without)[: len(points)] > 0.3).mean())
+    known = changed[::2]
+    assert np.mean(known) < 0.03
+    assert np.median(known) < 0.01
+    assert np.mean(changed[1::2]) < 0.1
+
+
+def test_ground_is_where_it_was_if_more_cells_show_a_mirrored_ceiling() -> None:
+    """Nothing tells a hall below a hall from its image but the height of the sensor before."""
+    seen = plane(-6, 6, 0.1)
+    mirrored = plane(-24, 24, 0.4, -4.0)
+    mirrored = mirrored[np.abs(mirrored[:, :2]).max(1) > 12]
+    points = np.concatenate([seen, mirrored]).astype(np.float32)
+    position = np.array([0.0, 0.0, 1.8])
+    found = ScanGround.of(points, position, height_before=1.8)
+    assert found.sensor_height == pytest.approx(1.8, abs=0.1)
+    assert np.abs(found.heights(points)[: len(seen)]).max() < 0.05
+
+
+@pytest.mark.parametrize("height", [0.3, 1.0, 5.0, 12.0])
+def test_a_sensor_that_was_lifted_or_lowered_finds_the_ground(height: float) -> None:
+    points = plane(-20, 20, 0.2).astype(np.float32)
+    found = ScanGround.of(points, np.array([0.0, 0.0, height]), height_before=1.8)
+    assert found.sensor_height == pytest.approx(height, abs=0.1)
+    assert np.abs(found.heights(points)).max() < 0.05
+
+
+@pytest.mark.parametrize("before", [1.8, -np.inf])
+def test_a_road_next_to_a_bridge_does_not_lower_it(
+    before: float,
+) -> None:
+    """Rays to the road pass over the edge of the bridge, which hides what is nearer."""
+    bridge = plane(-6, 6, 0.1)
+    road = plane(-30, 30, 0.4, -6.0)
+    road = road[(road[:, 0] > 26) & (np.abs(road[:, 1]) < 3)]
+    points = np.concatenate([bridge, road]).astype(np.float32)
+    found = ScanGround.of(points, np.array([0.0, 0.0, 1.8]), height_before=before).heights(points)
+    assert np.abs(found[: len(bridge)]).max() < 0.05
 
 
 @pytest.mark.parametrize("slope", [0.08, -0.08, 0.15])

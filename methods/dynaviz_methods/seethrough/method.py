@@ -3,8 +3,10 @@ stands.
 
     for each scan
         find the ground
-            the lowest layers of its points that a slope from the level under the sensor reaches;
-            deeper ones are reflections; it rises by at most 10 % beyond the scan's mean incline
+            the lowest layers of its points that a slope from the level under the sensor reaches,
+            which is that of earlier scans if any ground is there; what lies below ground that is
+            seen, on a ray that passes below it, is a reflection; it rises by at most 10 % beyond
+            the scan's mean incline
             if it is over 10 cm off the ground of earlier scans, level the scan: its points, its
             rays and its sensor
         mark what it hit: the voxels of its points
@@ -264,6 +266,8 @@ class SeeThrough:
         self._decided: tuple[int, bool, Decision] = -1, False, self._history.decide()
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._tilts: dict[int, F64] = {}  # by position
+        self._sensor_height = -np.inf  # metres above the ground, in the last scan that shows it
+        self._before: dict[int, float] = {}  # by position: the same when the scan came
         self._bands: dict[int, U8] = {}  # by scan index, until it is labelled; packed
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
 
@@ -287,8 +291,11 @@ class SeeThrough:
         places inherit.
         """
         p = self.params
-        surface = ScanGround.of(scan.points, scan.position)
         now = self._number[scan.index] = self._observed
+        self._before[now] = self._sensor_height
+        surface = ScanGround.of(scan.points, scan.position, height_before=self._sensor_height)
+        if surface.sensor_height > -np.inf:
+            self._sensor_height = surface.sensor_height
         self._tilts[now] = self._level.error(surface, scan.position)
         self._observed = now + 1
         measured = self._measured = self._measure(
@@ -321,7 +328,7 @@ class SeeThrough:
             packed = self._bands.pop(scan.index, None)
             if measured is None or measured.number != number:
                 bands = (
-                    self._bands_of(_heights(scan))
+                    self._bands_of(self._heights(scan))
                     if packed is None
                     else unpack_codes(packed, len(scan))
                 )
@@ -337,6 +344,7 @@ class SeeThrough:
         self._reasons.pop(index, None)
         self._bands.pop(index, None)
         self._tilts.pop(number, None)
+        self._before.pop(number, None)
         self._history.forget(number)
 
     def relabel(self, scans: Sequence[Scan]) -> list[Labels]:
@@ -364,6 +372,15 @@ class SeeThrough:
             decision = self._history.decide(online)
             self._decided = self._observed, not online, decision
         return decision
+
+    def _heights(self, scan: Scan) -> F32:
+        """(N,) float32, metres: height of the points of an observed scan above its ground.
+
+        Infinite if unknown.
+        """
+        before = self._before[self._number[scan.index]]
+        ground = ScanGround.of(scan.points, scan.position, height_before=before)
+        return ground.heights(scan.points)
 
     def _bands_of(self, heights: F32) -> U8:
         exact, low, highest = (
@@ -460,7 +477,7 @@ class SeeThrough:
         decision = judged.decision
         rows = asked.rows
         voxels = measured.voxels[rows]
-        height = _heights(asked.scan)[rows]
+        height = self._heights(asked.scan)[rows]
         empty = known(KERNELS.places.of_points(voxels, *self._counts, decision.weights), voxels)
         up = (
             Term(
@@ -530,13 +547,6 @@ def _spacing(sensor: Sensor) -> float:
         return STEP
     low, high = sensor.elevation
     return math.sqrt((high - low) * (end - begin) / rays)
-
-
-def _heights(scan: Scan) -> F32:
-    """(N,) float32, metres: height of the points of a scan above its ground, infinite
-    if unknown.
-    """
-    return ScanGround.of(scan.points, scan.position).heights(scan.points)
 
 
 def _levelled(scan: Scan, tilt: F64) -> Scan:
