@@ -93,7 +93,7 @@ def metrics(frames: int) -> None:
             "s"
         )
         if isinstance(metric, ErrorDistance):
-            counts = {kind: found["count"] for kind, found in section["error_distance"].items()}
+            counts = {kind: found.count for kind, found in section["error_distance"].items()}
     print(f"{frames} frames of {len(first.scan)} points; {counts}")
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")
 

@@ -101,7 +101,11 @@ class Metric(Protocol):
         ...
 
     def finish(self) -> Mapping[str, Any]:
-        """The sections as plain JSON values, None where undefined; called after the last frame."""
+        """The sections by name; called after the last frame.
+
+        Each is of its type in ``dynaviz.scores.sections``, or, for a section that is not there,
+        plain JSON values. None where undefined.
+        """
         ...
 
     def figures(self) -> Mapping[str, Figure]:

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -35,6 +35,22 @@ class Outcome(IntEnum):
     FALSE_NEGATIVE = 3
     UNLABELLED_KEPT = 4
     UNLABELLED_REMOVED = 5
+
+
+TRUTH: Mapping[int, str] = {
+    Label.STATIC: "static",
+    Label.DYNAMIC: "dynamic",
+}
+"""The words for the ground truth of a point; unlabelled points have none."""
+
+ErrorKind = Literal["false_negative", "false_positive"]
+ERRORS: Mapping[str, Outcome] = {
+    "false_negative": Outcome.FALSE_NEGATIVE,
+    "false_positive": Outcome.FALSE_POSITIVE,
+}
+"""The two kinds of wrong points: dynamic points that were kept, and static points that were
+removed.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,7 +25,7 @@ from dynaviz.contracts.evidence import (
 )
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Labelled
-from dynaviz.contracts.scan import Label, Scan
+from dynaviz.contracts.scan import TRUTH, Scan
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.explain.point_ledger import (
@@ -42,7 +42,6 @@ from dynaviz.spatial.surface import surface_normals
 EDGE = (
     0.1  # metres: of the box around a point whose rays are searched, for a method without evidence
 )
-TRUTH = {Label.STATIC: "static", Label.DYNAMIC: "dynamic"}
 
 
 class Ledger(Listener):
@@ -275,7 +274,7 @@ class _Book:
                 ),
                 truth=None
                 if self._truth is None
-                else TRUTH.get(Label(self._truth[self.asked.rows[k]])),
+                else TRUTH.get(int(self._truth[self.asked.rows[k]])),
                 removed=bool(self._dynamic[k]),
                 reason=info.reasons[self._codes[k]],
                 verdict=None if verdict is None else bool(verdict[k]),

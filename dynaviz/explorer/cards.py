@@ -13,14 +13,14 @@ import numpy as np
 
 from dynaviz import colours
 from dynaviz.arrays import F32, F64, I64, U8, Bool
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.rays import evenly
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.reviews.regions import Corner
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.sections import RemovedCluster
-from dynaviz.views.cases import OUTCOMES, middle_of, title_of
+from dynaviz.views.cases import middle_of, title_of
 from dynaviz.views.read.focus import ASIDE, FIELD_OF_VIEW, distance_to
 
 BARS = 40  # of a sparkline, at most
@@ -87,7 +87,7 @@ def _card(
     """A card; ``x`` are the sorted coordinates of the run's wrong points, and
     ``by_x`` their rows.
     """
-    outcome = OUTCOMES[case.kind] if isinstance(case, FailureCase) else Outcome.UNLABELLED_REMOVED
+    outcome = ERRORS[case.kind] if isinstance(case, FailureCase) else Outcome.UNLABELLED_REMOVED
     wrong = run.wrong
     low = np.array(case.low)
     high = np.array(case.high)

@@ -15,7 +15,7 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts import registry
-from dynaviz.contracts.scan import Label, Outcome
+from dynaviz.contracts.scan import TRUTH, Outcome
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explain.dial import Dial
 from dynaviz.explain.document import sentence
@@ -43,7 +43,6 @@ OUTCOMES = {  # of a point by whether it was removed, and whether that is right
     (False, True): Outcome.STATIC_KEPT,
     (False, False): Outcome.FALSE_NEGATIVE,
 }
-TRUTH = {int(Label.STATIC): "static", int(Label.DYNAMIC): "dynamic"}
 
 START = 1.0  # seconds: a replay opens the sequence, and loads the kernels of the method
 

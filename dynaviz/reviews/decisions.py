@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from dynaviz.contracts.scan import Label
+from dynaviz.contracts.scan import TRUTH, Label
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.lock import locked
@@ -42,7 +42,7 @@ DATED = 10**18  # nanoseconds since 1970: September 2001; smaller stamps count f
 PATIENCE = 10.0  # seconds that another process may take to add its decision
 Verdict = Literal["static", "dynamic", "undecided"]
 VERDICTS: tuple[Verdict, ...] = ("static", "dynamic", "undecided")
-LABELS = {"static": Label.STATIC, "dynamic": Label.DYNAMIC}
+LABELS = {word: Label(label) for label, word in TRUTH.items()}
 _HINT = "Give a review.json, as the explorer and dynaviz.review write it; the file stays as it is"
 CORRECTED = (
     0.02  # metres around the boxes of corrections, whose corners are those of rounded points

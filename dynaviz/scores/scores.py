@@ -155,7 +155,7 @@ class Counts:
         values = {name: getattr(self, name) for name in (*SCORES, "precision", "IoU")}
         return {name: None if math.isnan(value) else value for name, value in values.items()}
 
-    def row(self) -> dict[str, float | None]:
+    def row(self) -> dict[str, Any]:
         """Counts and accuracies in one dictionary, as in the rows of a breakdown."""
         metrics = self.metrics()
         return {**dataclasses.asdict(self), **{name: metrics[name] for name in SCORES}}

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct, field
 
-from dynaviz.scores.failure_case import FailureCase, RangeSpan
+from dynaviz.scores.failure_case import FailureCase, JoinedPoints
 from dynaviz.scores.looks import Ceiling
 
 
@@ -161,6 +161,10 @@ class CaseTotals(Struct, frozen=True):
     cases: int = 0
     points: int = 0
 
+    def plus(self, cases: int, points: int) -> CaseTotals:
+        """With further cases."""
+        return CaseTotals(self.cases + cases, self.points + points)
+
 
 class Failures(Struct, frozen=True):
     """Failure cases, costliest first; ``causes``: totals by kind and cause; ``others``.
@@ -194,19 +198,12 @@ class RemovedFrame(Struct, frozen=True):
     removed: int = 0
 
 
-class RemovedCluster(Struct, frozen=True):
+class RemovedCluster(JoinedPoints, frozen=True, kw_only=True):
     """Removed points that belong together, in a run without ground truth.
 
     Possibly right, possibly wrong.
 
     Attributes:
-        points: how many points were removed; a point counts once per frame.
-        first_frame, last_frame, worst_frame: positions in the run; frames: number of frames.
-        low, high: corners, (3,) metres, world frame.
-        range: from the sensor, metres.
-        moved: metres, how far the cluster moved.
-        reasons: points by reason, most frequent first.
-        ground: share of the points on the ground, 0 to 1.
         kept_near: share of the points next to points that were kept, 0 to 1.
         suspicion: 0 (looks like a mover) to 1 (looks like a static surface); why: in words,
             strongest first.
@@ -214,17 +211,6 @@ class RemovedCluster(Struct, frozen=True):
             sentence: in words.
     """
 
-    points: int
-    first_frame: int
-    last_frame: int
-    worst_frame: int
-    frames: int
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    range: RangeSpan
-    moved: float
-    reasons: Mapping[str, int]
-    ground: float | None = None
     kept_near: float | None = None
     suspicion: float = 0.0
     why: tuple[str, ...] = ()
@@ -383,21 +369,23 @@ class Sections(Struct, frozen=True, omit_defaults=True):
         """
         return cls().joined(plain)
 
-    def joined(self, plain: Mapping[str, Any]) -> Sections:
+    def joined(self, found: Mapping[str, Any]) -> Sections:
         """These sections and others, which replace those of the same name.
+
+        Args:
+            found: sections of this type, as ``Metric.finish`` returns them, or plain JSON values.
 
         Raises:
             msgspec.ValidationError: as ``of``.
         """
-        known = {
-            key: value
-            for key, value in plain.items()
-            if key in self.__struct_fields__ and key != "other"
-        }
-        sections = msgspec.convert(known, Sections)
-        other = {**self.other, **{key: value for key, value in plain.items() if key not in known}}
+        names = {each.name for each in msgspec.structs.fields(Sections)} - {"other"}
+        known = {key: value for key, value in found.items() if key in names}
+        converted = msgspec.convert(known, Sections)
+        other = {key: value for key, value in found.items() if key not in names}
         return msgspec.structs.replace(
-            self, **{key: getattr(sections, key) for key in known}, other=other
+            self,
+            **{key: getattr(converted, key) for key in known},
+            other={**self.other, **other},
         )
 
     def plain(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dynaviz.scores.failure_case import FailureCase
 
 Span = tuple[int, int]  # first and last frame
-Spans = Mapping[str, Sequence[Span]]  # by state, one of those in ``LANES``
+Spans = Mapping[str, tuple[Span, ...]]  # by state, one of those in ``LANES``
 
 # States by lane; frames without a state are unseen. An object is ``kept`` if more than half of its
 # points are, ``partly`` if some are, ``removed`` if none is; a place of static points is

@@ -25,7 +25,6 @@ WORTH = 0.01  # ... that cost at least this share of the first one
 FAILURES = "failures"
 CLUSTERS = "clusters"
 POINTS = "points"
-OUTCOMES = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 DID = {"false_positive": "removed", "false_negative": "kept"}
 REASONS = 3  # named in the text of a case
 # outcomes of the points of cases

@@ -10,7 +10,7 @@ from collections import defaultdict
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.views import paths
 from dynaviz.views.record.sink import RecordingFile
 
@@ -18,11 +18,11 @@ BATCH = 10  # frames; a killed run loses at most this many values of each curve
 
 # of the curves of reasons: the outcome whose colour they have, and their name as on hover
 _KINDS = {
-    "false_negative": (Outcome.FALSE_NEGATIVE, "ghost"),
-    "false_positive": (Outcome.FALSE_POSITIVE, "hole"),
+    "false_negative": (ERRORS["false_negative"], "ghost"),
+    "false_positive": (ERRORS["false_positive"], "hole"),
     "removed": (Outcome.UNLABELLED_REMOVED, "removed"),
 }
-_WRONG = {"false_negatives": Outcome.FALSE_NEGATIVE, "false_positives": Outcome.FALSE_POSITIVE}
+WRONG_POINTS = {f"{kind}s": outcome for kind, outcome in ERRORS.items()}  # by curve
 
 
 class Curves:
@@ -67,8 +67,9 @@ def style(path: str) -> rr.SeriesLines:
         words[0]
         if words[1:] == ["so_far"]
         else words[-1]
-        if words[-1] in _WRONG
+        if words[-1] in WRONG_POINTS
         else " ".join(words)
     )
-    colour = colours.FIRM[_WRONG[name]] if name in _WRONG else colours.SCORES.get(words[0])
+    wrong = WRONG_POINTS.get(name)
+    colour = colours.SCORES.get(words[0]) if wrong is None else colours.FIRM[wrong]
     return rr.SeriesLines(names=name.replace("_", " "), colors=colour, widths=1.5)

@@ -18,6 +18,7 @@ from dynaviz.arrays import F32, F64
 from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import Scalar, State, Voxels
+from dynaviz.contracts.scan import ERRORS
 from dynaviz.views import keys, object_lanes, paths
 
 KEY_SHARE = 4.0  # height of the views of states, in heights of their key
@@ -40,7 +41,6 @@ RINGS = (
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 CIRCLE: F64 = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
 CIRCLES: F32 = (np.array(RINGS)[:, None, None] * CIRCLE).astype(np.float32)
-_KINDS = ("false_negative", "false_positive")
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ def _numbers(info: MethodInfo, found: Findings) -> Any:
         _bars("FP: distance [m]", _run_histogram("false_positive")),
         _bars(
             "this frame",
-            [f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS],
+            [f"{paths.ERROR_DISTANCE}/{kind}" for kind in ERRORS],
             rrb.Corner2D.RightTop,
         ),
     )

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from dynaviz.arrays import F32
 from dynaviz.scores.behaviour import Behaviour
+from dynaviz.scores.failure_case import FailureCase, JoinedPoints
 
 STATIONARY = 1.0  # metres: a case that moves less did not move, in sentences
 # share of the points of a case that must lie on a surface, to tell at which angle rays meet it
@@ -80,64 +78,59 @@ def sized(case: np.void, size: F32) -> str:
     return "wall or other surface"
 
 
-def when_and_where(case: Mapping[str, Any]) -> str:
+def when_and_where(case: JoinedPoints, behaviour: str | None = None) -> str:
     """Frames, ranges and behaviour of a case, such as ``41 frames, 8 to 30 m away, stood still
     until the end``.
     """
-    near = case["range"]["min"]
-    far = case["range"]["max"]
+    near = case.range.min
+    far = case.range.max
     metres = f"{near:.0f} to {far:.0f} m" if round(near) != round(far) else f"{near:.0f} m"
-    frames = f"{case['frames']} frame{'s' * (case['frames'] > 1)}"
-    behaviour = case.get("behaviour")
+    frames = f"{case.frames} frame{'s' * (case.frames > 1)}"
     if behaviour == Behaviour.FAR_AWAY:
         return f"{frames}, far away ({metres})"
     return ", ".join([frames, f"{metres} away", *([behaviour] if behaviour else [])])
 
 
-def extent(case: Mapping[str, Any]) -> str:
+def extent(case: JoinedPoints) -> str:
     """The size of a case, such as ``2.0 x 1.0 x 0.5 m``."""
-    return (
-        " x ".join(f"{high - low:.1f}" for low, high in zip(case["low"], case["high"], strict=True))
-        + " m"
-    )
+    sizes = (high - low for low, high in zip(case.low, case.high, strict=True))
+    return " x ".join(f"{size:.1f}" for size in sizes) + " m"
 
 
-def sentence(case: Mapping[str, Any], meaning: str, patches: bool = False) -> str:
+def sentence(case: FailureCase, meaning: str, patches: bool = False) -> str:
     """Describe a failure case in two short sentences.
 
     What the object did, and why the method decided as it did.
 
     Args:
-        case: its plain values.
+        case: without its sentence.
         meaning: of the reason that decided it, in the method's words (``Reason.meaning``).
         patches: whether it consists of several patches of ground.
     """
-    name = " ".join(str(part) for part in (case["what"], case.get("instance")) if part is not None)
-    if case["kind"] == "false_negative":
-        moved = (
-            f"moved {case['moved']:.0f} m" if case["moved"] >= STATIONARY else "moved less than 1 m"
-        )
-        fact = f"Kept: {name}, {when_and_where(case)}" + (
-            "." if case.get("behaviour") else f", {moved}."
+    name = " ".join(str(part) for part in (case.what, case.instance) if part is not None)
+    if case.kind == "false_negative":
+        moved = f"moved {case.moved:.0f} m" if case.moved >= STATIONARY else "moved less than 1 m"
+        fact = f"Kept: {name}, {when_and_where(case, case.behaviour)}" + (
+            "." if case.behaviour else f", {moved}."
         )
     else:
         name += " in patches within" if patches else ","
-        fact = f"Removed: {name} {extent(case)}, {when_and_where(case)}."
+        fact = f"Removed: {name} {extent(case)}, {when_and_where(case, case.behaviour)}."
     why = meaning.partition(": ")[2] or meaning
     return f"{fact}{measured(case)} {why[:1].upper()}{why[1:]}."
 
 
-def measured(case: Mapping[str, Any]) -> str:
+def measured(case: FailureCase) -> str:
     """What rays showed of a case, such as `` Stood there: hit by 24 scans, seen through by 2.``.
 
     Empty without looks.
     """
-    looks = case.get("looks")
-    if looks is None:
+    looks = case.looks
+    if looks is None or case.cause is None:
         return ""
-    cause = case["cause"]
-    hits = f"hit by {looks['hits']:g} other scan{'s' * (looks['hits'] != 1)}"
+    cause = case.cause
+    hits = f"hit by {looks.hits:g} other scan{'s' * (looks.hits != 1)}"
     near = ""
-    if case["kind"] == "false_positive" and looks["mover"] is not None:
-        near = f", the nearest mover is {looks['mover']:.1f} m away"
-    return f" {cause[:1].upper()}{cause[1:]}: {hits}, seen through by {looks['throughs']:g}{near}."
+    if case.kind == "false_positive" and looks.mover is not None:
+        near = f", the nearest mover is {looks.mover:.1f} m away"
+    return f" {cause[:1].upper()}{cause[1:]}: {hits}, seen through by {looks.throughs:g}{near}."

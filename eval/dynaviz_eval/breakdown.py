@@ -14,6 +14,7 @@ from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.scores import RANGE_EDGES, Counts
+from dynaviz.scores.sections import Breakdown, FrameRow, IntervalRow, ObjectRow
 from dynaviz_eval.ground import scan_heights, scan_squared_ranges
 
 RANGES = (0.0, *RANGE_EDGES, np.inf)
@@ -48,21 +49,19 @@ class BreakdownMetric:
         self._objects.add(labelled)
         return {}
 
-    def finish(self) -> Mapping[str, Any]:
+    def finish(self) -> Mapping[str, Breakdown]:
         """The section."""
-        return {
-            "breakdown": {
-                "range": _rows(RANGES, self._range),
-                "height": _rows(HEIGHTS, self._height),
-                "frame": [
-                    {"frame": frame, "index": index, **Counts.of_histogram(counts).row()}
-                    for frame, index, *counts in np.array(self._frames)
-                    .reshape(-1, 2 + len(Outcome))
-                    .tolist()
-                ],
-                "object": self._objects.rows(),
-            }
-        }
+        frames = np.array(self._frames).reshape(-1, 2 + len(Outcome)).tolist()
+        section = Breakdown(
+            range=_rows(RANGES, self._range),
+            height=_rows(HEIGHTS, self._height),
+            frame=tuple(
+                FrameRow(frame=frame, index=index, **Counts.of_histogram(counts).row())
+                for frame, index, *counts in frames
+            ),
+            object=self._objects.rows(),
+        )
+        return {"breakdown": section}
 
     def figures(self) -> Mapping[str, Figure]:
         """None."""
@@ -109,19 +108,13 @@ class _Objects:
             self._by_reason[key] += wrong
             self._frames[key] = self._frames.get(key, (labelled.frame, 0))[0], labelled.frame
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Objects with at least one dynamic point, most missed points first."""
+    def rows(self) -> tuple[ObjectRow, ...]:
+        """Objects with at least one dynamic point, most kept dynamic points first."""
         rows = []
         for (of_class, instance), by_outcome in self._by_outcome.items():
             counts = Counts.of_histogram(by_outcome)
             (first, last) = self._frames[of_class, instance]
             if counts.dynamic_removed + counts.dynamic_kept:
-                place = {
-                    "class": of_class,
-                    "instance": instance,
-                    "first_frame": first,
-                    "last_frame": last,
-                }
                 wrong = self._by_reason[of_class, instance]
                 by_name = {
                     self._names[k]: int(wrong[k])
@@ -129,9 +122,17 @@ class _Objects:
                     if wrong[k]
                 }
                 rows.append(
-                    {**place, "points": int(by_outcome.sum()), **counts.row(), "reasons": by_name}
+                    ObjectRow(
+                        class_=of_class,
+                        instance=instance,
+                        first_frame=first,
+                        last_frame=last,
+                        points=int(by_outcome.sum()),
+                        reasons=by_name,
+                        **counts.row(),
+                    )
                 )
-        return sorted(rows, key=lambda row: (-row["dynamic_kept"], row["class"], row["instance"]))
+        return tuple(sorted(rows, key=lambda row: (-row.dynamic_kept, row.class_, row.instance)))
 
 
 def _count_by_bin(values: F32, edges: tuple[float, ...], outcome: U8) -> I64:
@@ -148,9 +149,9 @@ def _cross(rows: Any, n_rows: int, columns: Any, n_columns: int) -> I64:
     return crossed.reshape(n_rows, n_columns)
 
 
-def _rows(edges: tuple[float, ...], by_outcome: I64) -> list[dict[str, Any]]:
+def _rows(edges: tuple[float, ...], by_outcome: I64) -> tuple[IntervalRow, ...]:
     ends = [None if np.isinf(edge) else edge for edge in edges]
-    return [
-        {"from": low, "to": high, **Counts.of_histogram(counts).row()}
+    return tuple(
+        IntervalRow(low=low, high=high, **Counts.of_histogram(counts).row())
         for low, high, counts in zip(ends[:-1], ends[1:], by_outcome, strict=True)
-    ]
+    )

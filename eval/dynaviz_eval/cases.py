@@ -5,9 +5,8 @@ Memory grows neither with points nor with small cases.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,8 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
 from dynaviz.contracts.metric import FrameBoxes
 from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.failure_case import FailureCase, JoinedPoints, RangeSpan
+from dynaviz.scores.sections import RemovedCluster
 from dynaviz.spatial.grid import pack
 from dynaviz.spatial.surface import GRAZING
 from dynaviz_eval import samples
@@ -369,8 +370,8 @@ def gathered(
     return pooled(rows, ("case", "frame"))[0], largest, into
 
 
-def facts(case: np.void, names: Sequence[str], grounded: bool) -> dict[str, Any]:
-    """What is known about a case without ground truth, as plain JSON values.
+def facts(case: np.void, names: Sequence[str], grounded: bool) -> JoinedPoints:
+    """What is known about a case without ground truth.
 
     Args:
         case: a row of ``summed``.
@@ -378,43 +379,45 @@ def facts(case: np.void, names: Sequence[str], grounded: bool) -> dict[str, Any]
         grounded: whether its points on the ground were counted.
     """
     points = int(case["points"])
-    return {
-        "points": points,
-        "first_frame": int(case["first"]),
-        "last_frame": int(case["last"]),
-        "worst_frame": int(case["frame"]),
-        "frames": int(case["frames"]),
-        "low": [round(float(value), 2) for value in case["low"]],
-        "high": [round(float(value), 2) for value in case["high"]],
-        "range": {
-            "min": round(float(case["near"]), 1),
-            "mean": round(float(case["ranges"]) / points, 1),
-            "max": round(float(case["far"]), 1),
-        },
-        "moved": round(float(case["moved"]), 1),
-        "reasons": {
+    return JoinedPoints(
+        points=points,
+        first_frame=int(case["first"]),
+        last_frame=int(case["last"]),
+        worst_frame=int(case["frame"]),
+        frames=int(case["frames"]),
+        low=tuple(round(float(value), 2) for value in case["low"]),
+        high=tuple(round(float(value), 2) for value in case["high"]),
+        range=RangeSpan(
+            round(float(case["near"]), 1),
+            round(float(case["ranges"]) / points, 1),
+            round(float(case["far"]), 1),
+        ),
+        moved=round(float(case["moved"]), 1),
+        reasons={
             names[code]: int(case["reasons"][code])
             for code in np.argsort(-case["reasons"], kind="stable")
             if case["reasons"][code]
         },
-        "ground": round(float(case["ground"]) / points, 3) if grounded else None,
-    }
+        ground=round(float(case["ground"]) / points, 3) if grounded else None,
+    )
 
 
 def boxes(
-    listed: Sequence[tuple[Mapping[str, Any], NDArray[np.void]]], outcomes: Sequence[Outcome]
+    listed: Sequence[tuple[FailureCase | RemovedCluster, NDArray[np.void]]],
+    outcomes: Sequence[Outcome],
 ) -> FrameBoxes:
     """A box around each listed case, overall and in each of its frames.
 
     Args:
-        listed: plain values of each case, at least one, and its rows.
+        listed: cases, at least one, each with its rows.
         outcomes: of the points of each case.
     """
     cases = [case for case, _ in listed]
     rows = np.concatenate([rows for _, rows in listed])
-    low, high = (np.array([case[name] for case in cases], np.float32) for name in ("low", "high"))
+    low = np.array([case.low for case in cases], np.float32)
+    high = np.array([case.high for case in cases], np.float32)
     number = np.repeat(np.arange(len(cases)), [len(rows) for _, rows in listed])
-    labels = tuple(f"{number} {case['what']}" for number, case in enumerate(cases, 1))
+    labels = tuple(f"{number} {case.what}" for number, case in enumerate(cases, 1))
     return FrameBoxes(
         labels,
         np.array(outcomes, np.uint8),

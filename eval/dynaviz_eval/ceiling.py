@@ -75,8 +75,8 @@ class Evident:
         self._sample = np.concatenate([self._dynamic.settle(), self._wrong.settle()])
         return asked_places(self._sample)
 
-    def found(self, seen: CountedLooks, objects: Sequence[ObjectCeiling]) -> dict[str, Any]:
-        """The section, as plain JSON values, given the looks at the sampled points."""
+    def found(self, seen: CountedLooks, objects: Sequence[ObjectCeiling]) -> Ceiling:
+        """The section, given the looks at the sampled points."""
         removed = int(self._counts[Outcome.DYNAMIC_REMOVED])
         kept = int(self._counts[Outcome.FALSE_NEGATIVE])
         dynamic = removed + kept
@@ -97,14 +97,13 @@ class Evident:
                 kept_unseen=estimate(~evident[group == KEPT], kept, dynamic),
                 objects=tuple(objects[:LISTED]),
             )
-        lost = {
-            "lost_DA": self._lost("false_negative", np.flatnonzero(group == KEPT), seen, kept,
-                                  dynamic),
-            "lost_SA": self._lost("false_positive", np.flatnonzero(group == REMOVED), seen, holes,
-                                  static),
-        }  # fmt: skip
-        plain: dict[str, Any] = msgspec.to_builtins(msgspec.structs.replace(ceiling, **lost))
-        return plain
+        ghosts = np.flatnonzero(group == KEPT)
+        removed_static = np.flatnonzero(group == REMOVED)
+        return msgspec.structs.replace(
+            ceiling,
+            lost_DA=self._lost("false_negative", ghosts, seen, kept, dynamic),
+            lost_SA=self._lost("false_positive", removed_static, seen, holes, static),
+        )
 
     def _lost(
         self, kind: str, rows: Intp, seen: CountedLooks, part: int, whole: int

@@ -8,7 +8,6 @@ import itertools
 import math
 import threading
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from dynaviz.arrays import I32, I64
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.sections import ErrorDistances
 from dynaviz.spatial.nearest import nearest_distance
 from dynaviz_eval.spool import PointSpool
 
@@ -69,7 +69,7 @@ class ErrorDistance:
             )
         return {}
 
-    def finish(self) -> Mapping[str, Any]:
+    def finish(self) -> Mapping[str, Mapping[str, ErrorDistances]]:
         """The section. Deletes the temporary files."""
         section = {}
         for name, (wrong, correct, _) in _PAIRS.items():
@@ -156,9 +156,8 @@ def _slabs(
     return list(itertools.pairwise(edges))
 
 
-def summary(fine: I64) -> dict[str, Any]:
-    """Percentiles, shares and the histogram of the distances counted by ``distances``, as plain
-    JSON values.
+def summary(fine: I64) -> ErrorDistances:
+    """Percentiles, shares and the histogram of the distances counted by ``distances``.
 
     All None without wrong points, or without correct points to measure to. A percentile beyond 2 m
     is None as well.
@@ -174,9 +173,13 @@ def summary(fine: I64) -> dict[str, Any]:
         return 100.0 * float(cumulative[round(metres / _STEP) - 1]) / count if count else None
 
     coarse = np.append(fine[:-1].reshape(len(EDGES) - 2, -1).sum(1), fine[-1])
-    return {
-        **{f"p{percent}": percentile(percent) for percent in (10, 50, 90)},
-        **{f"within_{metres}": share(metres) for metres in (0.1, 0.3, 1.0)},
-        "histogram": coarse.tolist() if count else None,
-        "count": count,
-    }
+    return ErrorDistances(
+        p10=percentile(10),
+        p50=percentile(50),
+        p90=percentile(90),
+        within_01=share(0.1),
+        within_03=share(0.3),
+        within_10=share(1.0),
+        histogram=tuple(coarse.tolist()) if count else None,
+        count=count,
+    )

@@ -16,8 +16,11 @@ from dynaviz.arrays import F32, F64, I32, Bool, Intp
 from dynaviz.contracts.looks import AskedPlaces, CountedLooks, Look
 from dynaviz.contracts.method import MethodInfo, Reason
 from dynaviz.contracts.metric import Figure, Labelled
-from dynaviz.contracts.scan import Label, Outcome, Scan
+from dynaviz.contracts.scan import ERRORS, ErrorKind, Label, Outcome, Scan
+from dynaviz.scores.failure_case import FailureCase
+from dynaviz.scores.looks import Ceiling
 from dynaviz.scores.scores import percentage_points_lost
+from dynaviz.scores.sections import CaseTotals, Failures
 from dynaviz.scores.spans import LANES, Spans, spans_of
 from dynaviz.spatial.grid import in_key_range
 from dynaviz.spatial.surface import angles, surface_normals
@@ -40,7 +43,6 @@ SHOWN = 0.25  # of the looks at a case in a frame: fewer are not shown over time
 NOT_LISTED = "not listed, not measured"
 NO_REASON = Reason("unknown code", "the method gives no known reason")
 _UNLABELLED = 1 << 32  # the group of class 0
-_KINDS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
 
 class FailuresMetric:
@@ -60,12 +62,12 @@ class FailuresMetric:
 
     def __init__(self, info: MethodInfo) -> None:
         self._reasons = info.reasons
-        spans = {"false_negative": np.inf, "false_positive": SPAN}
+        spans: dict[ErrorKind, float] = {"false_negative": np.inf, "false_positive": SPAN}
         self._cases = {
             kind: Cases(len(info.reasons) + 1, span, partial(self._drop, kind), sampled=LOOKED_AT)
             for kind, span in spans.items()
         }
-        self._unlisted = {kind: {"cases": 0, "points": 0} for kind in spans}
+        self._unlisted = dict.fromkeys(spans, CaseTotals())
         self._evident = Evident(info.reasons)
         self._found: list[_Found] = []
         self._asked = False
@@ -73,9 +75,9 @@ class FailuresMetric:
         self._objects = Objects()
         self._grounded = True
         self._names: dict[int, str] = {}
-        self._totals = dict.fromkeys(_KINDS, 0)
+        self._totals = dict.fromkeys(ERRORS, 0)
         self._frame = 0
-        self._listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
+        self._listed: list[tuple[FailureCase, NDArray[np.void]]] = []
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Join the wrong points of a scan into cases."""
@@ -109,7 +111,7 @@ class FailuresMetric:
         self._objects.add(labelled, heights)
         for kind, cases in self._cases.items():
             removed = kind == "false_positive"
-            wrong = np.flatnonzero(labelled.outcome == _KINDS[kind])
+            wrong = np.flatnonzero(labelled.outcome == ERRORS[kind])
             # drop non-finite and very distant points
             wrong = wrong[in_key_range(scan.points[wrong], EDGE)]
             points = scan.points[wrong]
@@ -156,7 +158,7 @@ class FailuresMetric:
         """Receive the looks at these points."""
         self._seen = seen
 
-    def finish(self) -> Mapping[str, Any]:
+    def finish(self) -> Mapping[str, Failures | Ceiling]:
         """The sections."""
         self._settle()
         first = 0
@@ -164,17 +166,17 @@ class FailuresMetric:
             rows = np.arange(first, first + len(found.sample))
             first += len(rows)
             self._listed.append((self._described(found, number, rows), found.rows))
-        section = {
-            "cases": [case for case, _ in self._listed],
-            "causes": self._by_cause(),
-            "others": {
-                name: sum(count[name] for count in self._unlisted.values())
-                for name in ("cases", "points")
-            },
-        }
+        unlisted = self._unlisted.values()
+        section = Failures(
+            cases=tuple(case for case, _ in self._listed),
+            causes=self._by_cause(),
+            others=CaseTotals(
+                sum(total.cases for total in unlisted), sum(total.points for total in unlisted)
+            ),
+        )
         return {"failures": section, **self._ceiling()}
 
-    def _ceiling(self) -> dict[str, Any]:
+    def _ceiling(self) -> dict[str, Ceiling]:
         """The section ``ceiling``; empty without looks or ground truth."""
         if self._seen is None or not any(self._totals.values()):
             return {}
@@ -214,35 +216,34 @@ class FailuresMetric:
         for found in every[KEEP:]:
             self._drop(found.kind, np.atleast_1d(found.case))
 
-    def _by_cause(self) -> dict[str, dict[str, dict[str, int]]]:
+    def _by_cause(self) -> dict[str, dict[str, CaseTotals]]:
         """Cases and points by kind and cause, most points first."""
-        by: dict[str, dict[str, dict[str, int]]] = {kind: {} for kind in self._cases}
+        by: dict[str, dict[str, CaseTotals]] = {kind: {} for kind in self._cases}
         for case, _ in self._listed:
-            count = by[case["kind"]].setdefault(case["cause"], {"cases": 0, "points": 0})
-            count["cases"] += 1
-            count["points"] += case["points"]
+            causes = by[case.kind]
+            cause = str(case.cause)
+            causes[cause] = causes.get(cause, CaseTotals()).plus(1, case.points)
         ordered = {
-            kind: dict(sorted(causes.items(), key=lambda each: -each[1]["points"]))
+            kind: dict(sorted(causes.items(), key=lambda each: -each[1].points))
             for kind, causes in by.items()
         }
-        for kind, count in self._unlisted.items():
-            if count["cases"]:
-                ordered[kind][NOT_LISTED] = dict(count)
+        for kind, total in self._unlisted.items():
+            if total.cases:
+                ordered[kind][NOT_LISTED] = total
         return ordered
 
     def figures(self) -> Mapping[str, Figure]:
         """A box around each case, overall and in each of its frames."""
         if not self._listed:
             return {}
-        return {"failures": boxes(self._listed, [_KINDS[case["kind"]] for case, _ in self._listed])}
+        return {"failures": boxes(self._listed, [ERRORS[case.kind] for case, _ in self._listed])}
 
-    def _drop(self, kind: str, over: NDArray[np.void]) -> None:
+    def _drop(self, kind: ErrorKind, over: NDArray[np.void]) -> None:
         """Count cases that are over and not listed."""
-        self._unlisted[kind]["cases"] += len(over)
-        self._unlisted[kind]["points"] += int(over["points"].sum())
+        self._unlisted[kind] = self._unlisted[kind].plus(len(over), int(over["points"].sum()))
 
-    def _described(self, found: _Found, number: int, rows: Intp) -> dict[str, Any]:
-        """A listed case as plain JSON values, given the rows of its points among the looks."""
+    def _described(self, found: _Found, number: int, rows: Intp) -> FailureCase:
+        """A listed case, given the rows of its points among the looks."""
         kind = found.kind
         case = found.case
         own = found.rows
@@ -265,22 +266,23 @@ class FailuresMetric:
         if self._seen is not None and number < len(self._seen.by_frame):
             spans = {**spans, **spans_of_looks(self._seen.by_frame[number])}
         known = facts(case, names, self._grounded)
-        plain = {
-            "kind": kind,
-            **known,
-            "cost": found.cost,
-            "cause": str(cause_of(kind, looks, reason.cause)),
-            "word": None if reason.cause is None else str(reason.cause),
-            "reason": names[code],
-            "grazed": None if (grazed := grazed_share(case)) is None else round(grazed, 3),
-            "class": class_ if class_ >= 0 else None,
-            "instance": None if removed else (group & 0xFFFFFFFF) or None,
-            "what": self._names.get(class_) or shape(kind, case),
-            "behaviour": None if behaviour is None else str(behaviour),
-            "looks": None if looks is None else msgspec.to_builtins(looks),
-            "spans": {state: [list(span) for span in found] for state, found in spans.items()},
-        }
-        return {**plain, "sentence": sentence(plain, reason.meaning, found.largest < ONE_PATCH)}
+        described = FailureCase(
+            **msgspec.structs.asdict(known),
+            kind=kind,
+            cost=found.cost,
+            cause=str(cause_of(kind, looks, reason.cause)),
+            word=None if reason.cause is None else str(reason.cause),
+            reason=names[code],
+            grazed=None if (grazed := grazed_share(case)) is None else round(grazed, 3),
+            class_=class_ if class_ >= 0 else None,
+            instance=None if removed else (group & 0xFFFFFFFF) or None,
+            what=self._names.get(class_) or shape(kind, case),
+            behaviour=None if behaviour is None else str(behaviour),
+            looks=looks,
+            spans=spans,
+        )
+        words = sentence(described, reason.meaning, found.largest < ONE_PATCH)
+        return msgspec.structs.replace(described, sentence=words)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,7 +296,7 @@ class _Found:
         largest: share of its points in its largest patch.
     """
 
-    kind: str
+    kind: ErrorKind
     case: np.void
     rows: NDArray[np.void]
     sample: NDArray[np.void]

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.scores.scores import Counts, percentage_points_lost
+from dynaviz.scores.sections import ReasonCost, Reasons
 
 _CODES = 256
-_KINDS = {
-    "false_negative": Outcome.FALSE_NEGATIVE,
-    "false_positive": Outcome.FALSE_POSITIVE,
+_KINDS: dict[str, Outcome] = {
+    **ERRORS,
     "dynamic_removed": Outcome.DYNAMIC_REMOVED,
     "static_kept": Outcome.STATIC_KEPT,
 }
@@ -40,26 +39,26 @@ class ReasonsMetric:
         self._crossed += crossed
         return {
             f"reasons/{kind}/{reason.name}": float(crossed[_KINDS[kind], code])
-            for kind in ("false_negative", "false_positive")
+            for kind in ERRORS
             for code, reason in enumerate(self._legend)
         }
 
-    def finish(self) -> Mapping[str, Any]:
+    def finish(self) -> Mapping[str, Reasons]:
         """The section, most frequent reasons first."""
         counts = Counts.of_histogram(self._crossed.sum(1))
         static = counts.static_kept + counts.static_removed
         dynamic = counts.dynamic_kept + counts.dynamic_removed
         wrong = self._crossed[Outcome.FALSE_POSITIVE], self._crossed[Outcome.FALSE_NEGATIVE]
         cost = {
-            self._name(code): {
-                "SA": float(percentage_points_lost(wrong[0][code], static)) if static else None,
-                "DA": float(percentage_points_lost(wrong[1][code], dynamic)) if dynamic else None,
-            }
+            self._name(code): ReasonCost(
+                SA=float(percentage_points_lost(wrong[0][code], static)) if static else None,
+                DA=float(percentage_points_lost(wrong[1][code], dynamic)) if dynamic else None,
+            )
             for code in np.flatnonzero(wrong[0] + wrong[1]).tolist()
         }
         by_kind = {kind: self._by_name(outcome) for kind, outcome in _KINDS.items()}
         legend = {reason.name: reason.meaning for reason in self._legend}
-        return {"reasons": {**by_kind, "cost": cost, "legend": legend}}
+        return {"reasons": Reasons(**by_kind, cost=cost, legend=legend)}
 
     def figures(self) -> Mapping[str, Figure]:
         """None."""

@@ -8,6 +8,7 @@ from array import array
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +18,13 @@ from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.scores import RANGE_EDGES
+from dynaviz.scores.sections import (
+    CaseTotals,
+    Removals,
+    RemovedCluster,
+    RemovedFrame,
+    RemovedInterval,
+)
 from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import is_ground, sized
 from dynaviz_eval.behaviour import VisitedPlaces
@@ -24,7 +32,7 @@ from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts
 from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
 from dynaviz_eval.suspicion import MOVING, cluster_sentence, moved, suspicion
 
-_FRAME = ("frame", "index", "points", "removed")
+_FRAME = RemovedFrame.__struct_fields__
 SPAN = 20.0  # metres: larger clusters are split, as are the holes of a run with ground truth
 
 
@@ -58,26 +66,31 @@ class RemovalsMetric:
             self._clusters.add(labelled)
         return {}
 
-    def finish(self) -> Mapping[str, Any]:
+    def finish(self) -> Mapping[str, Removals]:
         """The section."""
         ends = [0.0, *RANGE_EDGES, None]
         order = np.argsort(-self._reasons, kind="stable")
         frames = np.array(self._frames).reshape(-1, len(_FRAME))
-        section = {
-            "points": int(frames[:, 2].sum()),
-            "removed": int(frames[:, 3].sum()),
-            "reasons": {
+        others = self._clusters.finish() if self._clusters else CaseTotals()
+        section = Removals(
+            points=int(frames[:, 2].sum()),
+            removed=int(frames[:, 3].sum()),
+            reasons={
                 self._names[code]: int(self._reasons[code]) for code in order if self._reasons[code]
             },
-            "range": [
-                {"from": low, "to": high, "points": points, "removed": removed}
+            range=tuple(
+                RemovedInterval(low=low, high=high, points=points, removed=removed)
                 for low, high, points, removed in zip(
                     ends[:-1], ends[1:], *self._range.tolist(), strict=True
                 )
-            ],
-            "frame": [dict(zip(_FRAME, row, strict=True)) for row in frames.tolist()],
-        }
-        return {"removals": section | (self._clusters.finish() if self._clusters else {})}
+            ),
+            frame=tuple(RemovedFrame(*row) for row in frames.tolist()),
+            clusters=tuple(cluster for cluster, _ in self._clusters.listed)
+            if self._clusters
+            else (),
+            others=others,
+        )
+        return {"removals": section}
 
     def figures(self) -> Mapping[str, Figure]:
         """A box around each cluster, overall and in each of its frames.
@@ -94,12 +107,12 @@ class _Clusters:
     """Joins removed points of unknown truth into clusters."""
 
     def __init__(self, names: list[str], compares: bool) -> None:
-        self.listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
+        self.listed: list[tuple[RemovedCluster, NDArray[np.void]]] = []
         self._names = names
         self._compares = compares
         self._places = VisitedPlaces()
         self._frame = 0
-        self._dropped = {"cases": 0, "points": 0}
+        self._dropped = CaseTotals()
         self._cases = Cases(len(names), SPAN, self._drop)
 
     def add(self, labelled: Labelled) -> None:
@@ -117,55 +130,49 @@ class _Clusters:
         reasons = labelled.reasons[chosen]
         self._cases.add(FramePoints(labelled.frame, points, groups, reasons, ranges, near, ground))
 
-    def finish(self) -> dict[str, Any]:
+    def finish(self) -> CaseTotals:
+        """List the clusters; returns the totals of the others."""
         self._cases.settle(self._frame + GAP + 1)  # all clusters are over by then
         rows = self._cases.rows
         found = [self._described(case, rows[rows["case"] == case["case"]]) for case in summed(rows)]
         found.sort(key=self._order)
         self.listed = found[:KEEP]
         rest = found[KEEP:]
-        cases = len(rest)
-        points = sum(cluster["points"] for cluster, _ in rest)
-        others = {
-            "cases": self._dropped["cases"] + cases,
-            "points": self._dropped["points"] + points,
-        }
-        return {"clusters": [cluster for cluster, _ in self.listed], "others": others}
+        points = sum(cluster.points for cluster, _ in rest)
+        return self._dropped.plus(len(rest), points)
 
-    def _order(self, found: tuple[dict[str, Any], Any]) -> tuple[Any, ...]:
+    def _order(self, found: tuple[RemovedCluster, Any]) -> tuple[Any, ...]:
         cluster, _ = found
-        weight = 1.0 if self._compares else cluster["suspicion"]
-        return -weight * cluster["points"], cluster["first_frame"], cluster["low"]
+        weight = 1.0 if self._compares else cluster.suspicion
+        return -weight * cluster.points, cluster.first_frame, cluster.low
 
     def _described(
         self, case: np.void, rows: NDArray[np.void]
-    ) -> tuple[dict[str, Any], NDArray[np.void]]:
-        """A cluster as plain JSON values, with its rows."""
+    ) -> tuple[RemovedCluster, NDArray[np.void]]:
+        """A cluster, with its rows."""
         known = facts(case, self._names, True)
         if self._compares:  # what changed stood still: nothing tells whether that is right
             score = 0.0
             why = tuple[str, ...]()
-            did = next(iter(known["reasons"]))
+            did = next(iter(known.reasons))
             what = "ground" if is_ground(case) else "object"
         else:
             score, why = suspicion(case, rows, self._places.visits(case["low"], case["high"]))
             did = "removed"
             what = sized(case, np.median(rows["high"] - rows["low"], axis=0))
             what = f"{MOVING} {what}" if moved(rows) else what
-        near = round(float(case["touching"] / case["points"]), 3)
-        plain = {
-            **known,
-            "kept_near": near,
-            "suspicion": score,
-            "why": list(why),
-            "did": did,
-            "what": what,
-        }
-        return {**plain, "sentence": cluster_sentence(plain)}, rows
+        cluster = RemovedCluster(
+            **msgspec.structs.asdict(known),
+            kept_near=round(float(case["touching"] / case["points"]), 3),
+            suspicion=score,
+            why=why,
+            did=did,
+            what=what,
+        )
+        return msgspec.structs.replace(cluster, sentence=cluster_sentence(cluster)), rows
 
     def _drop(self, over: NDArray[np.void]) -> None:
-        self._dropped["cases"] += len(over)
-        self._dropped["points"] += int(over["points"].sum())
+        self._dropped = self._dropped.plus(len(over), int(over["points"].sum()))
 
 
 def _next_to_kept(labelled: Labelled, ground: Bool) -> Bool:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import I32
+from dynaviz.scores.sections import RemovedCluster
 from dynaviz_eval.attribution import extent, shape, when_and_where
 from dynaviz_eval.behaviour import BRIEF, WINDOW, shift, standing
 
@@ -87,18 +85,17 @@ def suspicion(case: np.void, rows: NDArray[np.void], visits: I32) -> tuple[float
     return round(score, 3), tuple(words[name] for name in strongest)
 
 
-def cluster_sentence(cluster: Mapping[str, Any]) -> str:
+def cluster_sentence(cluster: RemovedCluster) -> str:
     """Describe a cluster of removed points: where it is, and why it looks right or wrong."""
     fact = (
-        f"{cluster['did'].capitalize()}: {cluster['what']}, {extent(cluster)}, "
-        f"{when_and_where(cluster)}."
+        f"{cluster.did.capitalize()}: {cluster.what}, {extent(cluster)}, {when_and_where(cluster)}."
     )
-    if cluster["what"].startswith(MOVING):
+    if cluster.what.startswith(MOVING):
         return f"{fact} Moves as movers do."
-    if not cluster["why"]:
+    if not cluster.why:
         return fact
-    word = "Suspicious" if cluster["suspicion"] > DOUBTFUL else "Signs of a static surface"
-    return f"{fact} {word}: {', '.join(cluster['why'])}."
+    word = "Suspicious" if cluster.suspicion > DOUBTFUL else "Signs of a static surface"
+    return f"{fact} {word}: {', '.join(cluster.why)}."
 
 
 def _between(value: float, low: float, high: float) -> float:

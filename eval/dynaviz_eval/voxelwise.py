@@ -6,7 +6,6 @@ Not the main metric.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.scores import harmonic_mean, percent
+from dynaviz.scores.sections import Voxelwise
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
 from dynaviz_eval.sorted_runs import HELD, SortedRuns
 
@@ -67,7 +67,7 @@ class VoxelwiseMetric:
                 self._store()
         return {}
 
-    def finish(self) -> Mapping[str, Any]:
+    def finish(self) -> Mapping[str, Voxelwise]:
         """The section; rates are None if there are no voxels to count."""
         counts = dict.fromkeys(_COUNTS, 0)
         for static, dynamic, kept in self._parts():
@@ -83,7 +83,7 @@ class VoxelwiseMetric:
         PR = float(percent(counts["static_kept"], counts["static"])) if counts["static"] else None
         RR = 100.0 * (1 - counts["dynamic_kept"] / counts["dynamic"]) if counts["dynamic"] else None
         F1 = None if PR is None or RR is None else float(harmonic_mean(PR, RR))
-        return {"voxelwise": {"edge_m": self._edge, "PR": PR, "RR": RR, "F1": F1, **counts}}
+        return {"voxelwise": Voxelwise(edge_m=self._edge, PR=PR, RR=RR, F1=F1, **counts)}
 
     def _store(self) -> None:
         """Move all voxels to the disk."""

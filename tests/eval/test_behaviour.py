@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.failure_cases import INFO, section
+from helpers.sections import plain
 
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan
@@ -196,5 +197,5 @@ def test_without_heights_the_ground_is_unknown():
     metric = FailuresMetric(INFO)
     labelled = scene(0, 5.0, caught=False, instances=False)
     metric.add(labelled, 3000, 200)
-    (case,) = metric.finish()["failures"]["cases"]
+    (case,) = plain(metric.finish())["failures"]["cases"]
     assert case["ground"] is None

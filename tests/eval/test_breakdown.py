@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from helpers.sections import plain
 
 from dynaviz.scores.scores import Counts
 from dynaviz_eval.breakdown import BreakdownMetric
@@ -18,7 +19,7 @@ def breakdown(info, *labelled):
     metric = BreakdownMetric(info)
     for each in labelled:
         metric.update(each)
-    section = metric.finish()["breakdown"]
+    section = plain(metric.finish())["breakdown"]
     json.dumps(section, allow_nan=False)
     return section
 

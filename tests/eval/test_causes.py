@@ -1,9 +1,11 @@
 """Causes of cases at the bounds of each criterion, and the sentences about them."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from dynaviz.contracts.method import Cause as Word
+from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.looks import CaseLooks
 from dynaviz_eval.attribution import sentence, shape
 from dynaviz_eval.cases import Cases, summed
@@ -110,12 +112,18 @@ def sentence_of(**values) -> str:
         "behaviour": "stood still until the end",
         "frames": 2,
         "moved": 1.0,
-        "range": {"min": 3.2, "max": 8.4},
+        "range": {"min": 3.2, "mean": 5.0, "max": 8.4},
+        "points": 5,
+        "cost": 1.0,
+        "first_frame": 0,
+        "last_frame": 1,
+        "worst_frame": 0,
         "low": [1, 2, 3],
         "high": [3, 3, 3.5],
         "reasons": {"mystery": 4, "x": 1},
     }
-    return sentence(case | values, "kept: rays crossed it, but hits outweigh misses")
+    made = msgspec.convert(case | values, FailureCase)
+    return sentence(made, "kept: rays crossed it, but hits outweigh misses")
 
 
 def test_sentences_state_what_the_object_did_and_what_the_method_did():
@@ -132,7 +140,9 @@ def test_sentences_state_what_the_object_did_and_what_the_method_did():
     assert sentence_of(behaviour=None, moved=0.9).startswith(
         "Kept: car 12, 2 frames, 3 to 8 m away, moved less than"
     )
-    assert "frames, 3 m away, stood still" in sentence_of(range={"min": 3.2, "max": 3.4})
+    assert "frames, 3 m away, stood still" in sentence_of(
+        range={"min": 3.2, "mean": 3.3, "max": 3.4}
+    )
     removed = {"kind": "false_positive", "what": "ground", "instance": None}
     where = "Removed: ground, 2.0 x 1.0 x 0.5 m, 2 frames, 3 to 8 m away"
     assert sentence_of(**removed, behaviour="always in view").startswith(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.sections import plain
 
 from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DynavizError
@@ -38,7 +39,7 @@ def run(info, *labelled):
     metric = ErrorDistance(info)
     for each in labelled:
         assert metric.update(each) == {}
-    return metric.finish()["error_distance"], metric.figures()
+    return plain(metric.finish())["error_distance"], metric.figures()
 
 
 def test_distances_span_frames(info, make_labelled):
@@ -147,8 +148,8 @@ def test_percentiles_of_known_distances():
         10,
     )
     found = summary(fine)
-    assert (found["p10"], found["p50"], found["p90"]) == (0.1, 0.1001, 1.0)
-    assert (found["within_0.1"], found["within_0.3"], found["within_1.0"]) == (25, 50, 90)
+    assert (found.p10, found.p50, found.p90) == (0.1, 0.1001, 1.0)
+    assert (found.within_01, found.within_03, found.within_10) == (25, 50, 90)
 
 
 def open_files(folder):
@@ -195,5 +196,5 @@ def test_percentiles_of_evenly_spread_distances():
     fine = np.zeros(20001, np.int64)
     fine[:10000] = 1
     found = summary(fine)
-    assert (found["p10"], found["p50"], found["p90"]) == (0.1, 0.5, 0.9)
-    assert (found["within_0.1"], found["within_0.3"], found["within_1.0"]) == (10.0, 30.0, 100.0)
+    assert (found.p10, found.p50, found.p90) == (0.1, 0.5, 0.9)
+    assert (found.within_01, found.within_03, found.within_10) == (10.0, 30.0, 100.0)

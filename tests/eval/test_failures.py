@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.failure_cases import INFO, labelled, section
+from helpers.sections import plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import coo_array
@@ -224,7 +225,7 @@ def test_no_cases_without_ground_truth():
     scan = Scan(0, cube(), np.eye(4))
     metric = FailuresMetric(INFO)
     metric.update(Labelled.of(0, scan, np.ones(50, np.bool_), np.zeros(50, np.uint8)))
-    assert metric.finish()["failures"]["cases"] == []
+    assert plain(metric.finish())["failures"]["cases"] == []
     assert metric.figures() == {}
 
 
@@ -281,10 +282,23 @@ def test_runs_share_objects_by_class_and_number():
 def failure_case(cost: float, instance: int | None, spans: Any) -> FailureCase:
     corner = (0.0, 0.0, 0.0)
     return FailureCase(
-        "false_negative", 1, cost, 0, 9, 0, 10, corner, corner, RangeSpan(1, 1, 1), 0.0, {},
+        kind="false_negative",
+        points=1,
+        cost=cost,
+        first_frame=0,
+        last_frame=9,
+        worst_frame=0,
+        frames=10,
+        low=corner,
+        high=corner,
+        range=RangeSpan(1, 1, 1),
+        moved=0.0,
+        reasons={},
         class_=3,
-        instance=instance, what="car", spans=spans,
-    )  # fmt: skip
+        instance=instance,
+        what="car",
+        spans=spans,
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.failure_cases import INFO
+from helpers.sections import plain
 
 from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Outcome, Scan
@@ -25,8 +25,7 @@ def measured(*frames: Labelled) -> tuple[dict[str, Any], RemovalsMetric]:
     metric = RemovalsMetric(INFO)
     for frame in frames:
         assert metric.update(frame) == {}
-    section = metric.finish()
-    assert json.loads(json.dumps(section)) == section
+    section = plain(metric.finish())
     typed = Sections.of(section).removals
     assert typed is not None
     assert len(typed.clusters) == len(section["removals"].get("clusters", ()))
@@ -75,7 +74,7 @@ def test_removed_points_are_counted_by_reason_range_and_frame():
         (50.0, None, 2, 2),
     ]  # fmt: skip
     assert section["frame"] == [{"frame": 0, "index": 7, "points": 7, "removed": 5}]
-    assert "clusters" not in section
+    assert section["clusters"] == []
     assert metric.figures() == {}
 
 
@@ -117,7 +116,7 @@ def test_a_labelled_point_in_any_frame_means_that_there_is_ground_truth():
         labels[0] = first
         last = Scan(1, scan.points, np.eye(4), labels=labels)
         section, _ = measured(street(0), Labelled.of(1, last, nothing.astype(np.bool_), nothing))
-        assert ("clusters" in section) == clusters
+        assert bool(section["clusters"]) == clusters
 
 
 def test_nothing_removed():

@@ -6,6 +6,7 @@ Intervals cover each once, and metrics that use them give the same numbers.
 from __future__ import annotations
 
 import numpy as np
+from helpers.sections import plain
 from helpers.worlds import room
 
 from dynaviz.contracts.method import MethodInfo
@@ -46,7 +47,7 @@ def test_voxels_on_disk_are_counted_like_those_in_memory() -> None:
         )
         for metric in metrics:
             metric.update(labelled)
-    whole, stored = (metric.finish()["voxelwise"] for metric in metrics)
+    whole, stored = (plain(metric.finish())["voxelwise"] for metric in metrics)
     assert stored == whole
     assert whole["dynamic"] > 0
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.sections import plain
 from helpers.worlds import room
 
 from dynaviz.contracts.method import MethodInfo
@@ -18,7 +19,7 @@ def section(scans: list[Scan], answers: list[np.ndarray]) -> dict[str, float | N
     metric = VoxelwiseMetric(INFO)
     for frame, (scan, dynamic) in enumerate(zip(scans, answers, strict=True)):
         metric.update(Labelled.of(frame, scan, dynamic, np.zeros(len(scan), np.uint8)))
-    return metric.finish()["voxelwise"]
+    return plain(metric.finish())["voxelwise"]
 
 
 def test_agrees_with_sets_of_voxels() -> None:
@@ -79,5 +80,5 @@ def test_the_points_of_a_cleaned_map_keep_voxels() -> None:
     metric.cleaned_map(np.array([[0.1, 0.1, 0.1]], np.float32))
     scan = scan_of([[0.05, 0.05, 0.05], [1, 0, 0], [5, 0, 0]], [0, 0, 1])
     metric.update(Labelled.of(0, scan, np.array([True, False, False]), np.zeros(3, np.uint8)))
-    found = metric.finish()["voxelwise"]
+    found = plain(metric.finish())["voxelwise"]
     assert (found["PR"], found["RR"]) == (50, 100)  # whatever the labels say

@@ -22,7 +22,7 @@ import pytest
 import dynaviz as dv
 from dynaviz import colours
 from dynaviz.arrays import U8
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explain.case_evidence import evidence_of
 from dynaviz.explain.strip import strip
@@ -30,7 +30,6 @@ from dynaviz.explorer.cards import MAP_MARGIN, cards, surroundings
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.explorer.server import Explorer
 from dynaviz.scores.result import Result
-from dynaviz.views.cases import OUTCOMES
 from dynaviz.views.read.reader import RunRecording
 
 
@@ -415,7 +414,7 @@ def test_cases_are_drawn_at_once(explorer: Explorer) -> None:
     assert pixels(large).shape == (400, 640, 3)
     facts = ask(explorer, "runs")["a"]["cases"][0]
     colour = colours.BRIGHT[
-        OUTCOMES["false_negative" if facts["kind"] == "ghost" else "false_positive"]
+        ERRORS["false_negative" if facts["kind"] == "ghost" else "false_positive"]
     ]
     rows, columns = np.nonzero((pixels(large) == colour).all(2))
     assert len(rows)

@@ -19,11 +19,11 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
-from dynaviz.contracts.scan import Label, Outcome
+from dynaviz.contracts.scan import TRUTH, Label, Outcome
 from dynaviz.scores.comparison.frame_answers import BAND_NAMES, FrameAnswers
 from dynaviz.scores.scores import accuracies, percentage_points_lost
 
-TRUTHS = ("static", "dynamic")
+TRUTHS = tuple(TRUTH.values())
 # bit 0: the first run is right; bit 1: the second is
 AGREEMENT = (
     "neither",

@@ -18,6 +18,7 @@ import rerun as rr
 
 from dynaviz.arrays import F64
 from dynaviz.colours import NEUTRAL, Colour
+from dynaviz.contracts.scan import ERRORS
 from dynaviz.io.atomic import atomic_file
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.comparison.counts import (
@@ -265,7 +266,7 @@ def _write_gains_by_frame(
 
 def _write_distances(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
     """The histograms of all runs, with their bars next to each other."""
-    for kind in ("false_negative", "false_positive"):
+    for kind in ERRORS:
         for i, side in enumerate(sides):
             if (bars := _bars(side.recording, f"{paths.ERROR_DISTANCE}/{kind}/run")) is not None:
                 counts, middles, widths = bars

@@ -16,12 +16,12 @@ from rerun.experimental import ViewerClient
 
 from dynaviz import colours
 from dynaviz.arrays import F64, U8
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.errors import DynavizError, UsageError
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.spans import LANES, Span, lane
 from dynaviz.views import keys, paths, viewer
-from dynaviz.views.cases import OUTCOMES, listed, suspicious
+from dynaviz.views.cases import listed, suspicious
 from dynaviz.views.layout import blueprint, solid
 from dynaviz.views.read.focus import ASIDE, eye_on
 from dynaviz.views.read.reader import RunRecording
@@ -93,7 +93,7 @@ def case_span(recording: RunRecording, number: int) -> CaseSpan:
     end = min(recording.frames, case.last_frame + BEFORE_AND_AFTER + 1)
     frames = range(first, end, -(-(end - first) // MOST))
     failure = case if isinstance(case, FailureCase) else None
-    outcome = OUTCOMES[failure.kind] if failure else Outcome.UNLABELLED_REMOVED
+    outcome = ERRORS[failure.kind] if failure else Outcome.UNLABELLED_REMOVED
     spans = failure.spans if failure else {}
     lanes = {name: parts for name in LANES if (parts := lane(spans, name))}
     box = np.array(case.low), np.array(case.high)

@@ -20,7 +20,7 @@ from dynaviz.contracts.evidence import Asked
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.options import RecordMode
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
-from dynaviz.contracts.scan import Outcome, Scan
+from dynaviz.contracts.scan import ERRORS, Scan
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.explain.dial import PointSample
@@ -34,7 +34,7 @@ from dynaviz.scores.result import Result, environment
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.views import cases, classes, keys, paths, viewer
 from dynaviz.views.background import Background
-from dynaviz.views.curves import Curves
+from dynaviz.views.curves import WRONG_POINTS, Curves
 from dynaviz.views.layout import Findings, layout
 from dynaviz.views.record import sink, states, turns
 from dynaviz.views.record.budget import Budget
@@ -367,7 +367,7 @@ class Recorder(Listener):
         """
         if self._run.sequence.has_labels:
             yield from zip(
-                (f"{paths.WRONG}/{kind}" for kind in ("false_negatives", "false_positives")),
+                (f"{paths.WRONG}/{kind}" for kind in WRONG_POINTS),
                 wrong,
                 strict=True,
             )
@@ -462,7 +462,7 @@ class Recorder(Listener):
 
     def _mark_worst(self) -> None:
         worst = sorted(
-            (frame, float(missed + removed)) for frame, _, missed, removed in self._outcomes.worst()
+            (frame, float(kept + removed)) for frame, _, kept, removed in self._outcomes.worst()
         )
         style = rr.SeriesPoints(
             colors=colours.NEUTRAL, markers="diamond", marker_sizes=4, names="worst frames"
@@ -482,9 +482,6 @@ class Recorder(Listener):
         self._open.log(paths.LOG, rr.TextLog(text, level=rr.TextLogLevel.INFO))
 
 
-_ERRORS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
-
-
 def _copied(value: Value) -> Value:
     """A state with copies of its arrays."""
     parts: dict[str, Any] = {
@@ -497,7 +494,8 @@ def _copied(value: Value) -> Value:
 
 
 def _bars(path: str, counts: Any, edges: Any) -> rr.BarChart:
-    outcome = _ERRORS.get(path.split("/")[1])
+    kind = path.split("/")[1]
+    outcome = next((outcome for name, outcome in ERRORS.items() if name == kind), None)
     colour = colours.NEUTRAL if outcome is None else colours.FIRM[outcome]
     middles = (edges[:-1] + edges[1:]) / 2
     widths = np.diff(edges)

@@ -11,7 +11,7 @@ import numpy as np
 from dynaviz import colours
 from dynaviz.arrays import U8
 from dynaviz.contracts.method import MethodInfo
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percentage_points_lost
@@ -43,19 +43,15 @@ class OutcomeCounts:
         flat = (outcome.astype(np.uint16) << 8) | reasons
         here = np.bincount(flat, minlength=self.points.size).reshape(self.points.shape)
         self.points += here
-        missed, removed = (
+        kept, removed = (
             int(here[o].sum()) for o in (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE)
         )
-        self.frames.append((frame, index, missed, removed))
-        return missed, removed
+        self.frames.append((frame, index, kept, removed))
+        return kept, removed
 
     def curves(self, info: MethodInfo) -> tuple[str, ...]:
         """Paths of the curves of reasons that are not zero in all frames."""
-        kinds = {
-            "false_negative": Outcome.FALSE_NEGATIVE,
-            "false_positive": Outcome.FALSE_POSITIVE,
-            "removed": Outcome.UNLABELLED_REMOVED,
-        }
+        kinds = {**ERRORS, "removed": Outcome.UNLABELLED_REMOVED}
         return tuple(
             f"{paths.REASONS}/{kind}/{reason.name}"
             for kind, outcome in kinds.items()
@@ -289,7 +285,7 @@ def _percent(value: float | None) -> str:
 
 
 def _worst(counts: OutcomeCounts) -> str:
-    rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in counts.worst()]
+    rows = [(f, i, f"{kept:,}", f"{removed:,}") for f, i, kept, removed in counts.worst()]
     if not rows:
         return "No frame has wrong points." if counts.points[TRUE].any() else ""
     return "### Worst frames\n\n" + table(

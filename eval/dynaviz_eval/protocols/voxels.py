@@ -64,7 +64,7 @@ class FreedomProtocol(_Voxels):
     def counts(self) -> Mapping[str, int]:
         """Voxels by truth, and those of them that are kept."""
         found = self._voxels.finish()["voxelwise"]
-        return {name: found[name] for name in _COUNTS}
+        return {name: getattr(found, name) for name in _COUNTS}
 
 
 class FreedomIndoor(FreedomProtocol):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.reports.reporting import StudyOverview
 from dynaviz_eval.report.birdseye import (
     Picture,
@@ -30,11 +30,7 @@ SMALLEST = 6.0  # metres: width of the smallest crop
 AROUND = 1.5  # width of a crop, in widths of the case
 DEPTH = 1.0  # metres in front of and behind the case that are drawn
 BARS = (1, 2, 5, 10, 20, 50)  # metres: lengths of scale bars
-_OUTCOMES = {
-    "false_negative": (Outcome.FALSE_NEGATIVE,),
-    "false_positive": (Outcome.FALSE_POSITIVE,),
-    "removed": (Outcome.UNLABELLED_REMOVED,),
-}
+_OUTCOMES: dict[str, Outcome] = {**ERRORS, "removed": Outcome.UNLABELLED_REMOVED}
 
 
 @dataclass(frozen=True)
@@ -125,7 +121,8 @@ def _points(spot: Spot, overview: StudyOverview) -> F64:
     """
     low = np.array(spot.low)
     high = np.array(spot.high)
-    points = overview.points[np.isin(overview.outcome, _OUTCOMES[spot.kind])].astype(np.float64)
+    wrong = overview.outcome == _OUTCOMES[spot.kind]
+    points: F64 = overview.points[wrong].astype(np.float64)
     points = points[((points >= low - 0.01) & (points <= high + 0.01)).all(1)]
     if len(points) < 2:
         corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1)
