@@ -102,6 +102,7 @@ def test_convert_labels(run_command: Command, folder: Path, tmp_path: Path) -> N
     assert sorted(path.name for path in (tmp_path / "labels").iterdir()) == [
         "000011.label",
         "000012.label",
+        "boxes.csv",
     ]
 
 

@@ -66,7 +66,7 @@ def test_returns_from_beyond_the_road_do_not_change_its_ground(sensor: str, kind
 
 
 def test_ground_is_where_it_was_if_more_cells_show_a_mirrored_ceiling() -> None:
-    """Nothing tells a hall below a hall from its image but the height of the sensor before."""
+    """A quarter of the rays to it pass below ground that is seen: enough at the height before."""
     seen = plane(-6, 6, 0.1)
     mirrored = plane(-24, 24, 0.4, -4.0)
     mirrored = mirrored[np.abs(mirrored[:, :2]).max(1) > 12]

@@ -3,10 +3,10 @@ stands.
 
     for each scan
         find the ground
-            the lowest layers of its points that a slope from the level under the sensor reaches,
-            which is that of earlier scans if any ground is there; what lies below ground that is
-            seen, on a ray that passes below it, is a reflection; it rises by at most 10 % beyond
-            the scan's mean incline
+            the lowest layers of its points that a slope from the level under the sensor reaches;
+            what lies below ground that is seen, on a ray that passes below it, is a reflection;
+            where earlier scans had the level, a quarter of such rays is enough; it rises by at
+            most 10 % beyond the scan's mean incline
             if it is over 10 cm off the ground of earlier scans, level the scan: its points, its
             rays and its sensor
         mark what it hit: the voxels of its points
