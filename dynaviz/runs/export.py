@@ -6,6 +6,8 @@ import csv
 import io
 import math
 import os
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +34,32 @@ MOVED = 2.0  # metres from its first box to its last one, for the same
 COLUMNS = (
     "frame", "stamp_ns", "instance", "points", "x", "y", "z", "length", "width", "height", "yaw",
 )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectBox:
+    """The box of an object in a frame.
+
+    Attributes:
+        frame: number of the frame in its data set; stamp_ns: its time, nanoseconds, or None.
+        instance: number of the object; points: its points in the frame.
+        middle: (3,) metres, world of the source; size: (3,) metres: length, width and height.
+        yaw: radians, from the x axis to the length.
+    """
+
+    frame: int
+    stamp_ns: int | None
+    instance: int
+    points: int
+    middle: F64
+    size: F64
+    yaw: float
+
+    def row(self) -> list[object]:
+        """The values of ``COLUMNS``."""
+        stamp = "" if self.stamp_ns is None else self.stamp_ns
+        numbers = [f"{value:.3f}" for value in (*self.middle, *self.size)]
+        return [self.frame, stamp, self.instance, self.points, *numbers, f"{self.yaw:.4f}"]
 
 
 def export_labels(
@@ -80,7 +108,7 @@ def export_labels(
             progress("finding objects", done, total)
         numbers = numbered(moving)
         lasting = _lasting(numbers)
-        rows: list[list[object]] = []
+        boxes: list[ObjectBox] = []
         for done, scan in enumerate(stream(opened), 1):
             dynamic, verdicts = answers[done - 1]
             classes = np.where(dynamic, MOVING, STATIC).astype(np.uint16)
@@ -88,10 +116,12 @@ def export_labels(
             instances = np.zeros(len(scan), np.uint16)
             instances[classes == MOVING] = numbers[done - 1]
             write_semantic_labels(folder / f"{scan.index:06d}.label", classes, instances)
-            rows += _boxes(scan, instances, lasting, opened.origin)
+            boxes += _boxes(scan, instances, lasting, opened.origin)
             progress("writing", done, total)
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([list(COLUMNS), *_of_movers(rows)])
+        csv.writer(text, lineterminator="\n").writerows(
+            [COLUMNS, *(box.row() for box in _of_movers(boxes))]
+        )
         write_atomic(folder / BOXES, text.getvalue().encode())
     return total, sum(map(len, moving))
 
@@ -106,28 +136,21 @@ def _lasting(numbers: list[U16]) -> Bool:
     return lasting
 
 
-def _of_movers(rows: list[list[object]]) -> list[list[object]]:
-    """The rows of objects that move far enough."""
-    at = [COLUMNS.index(name) for name in "xyz"]
-    ends: dict[object, tuple[F64, F64]] = {}
-    for row in rows:
-        middle = np.array([row[column] for column in at], np.float64)
-        number = row[COLUMNS.index("instance")]
-        ends[number] = ends.get(number, (middle, middle))[0], middle
+def _of_movers(boxes: list[ObjectBox]) -> list[ObjectBox]:
+    """The boxes of objects that move far enough."""
+    ends: dict[int, tuple[F64, F64]] = {}
+    for box in boxes:
+        ends[box.instance] = ends.get(box.instance, (box.middle, box.middle))[0], box.middle
     moved = {number for number, (first, last) in ends.items() if math.dist(first, last) >= MOVED}
-    return [row for row in rows if row[COLUMNS.index("instance")] in moved]
+    return [box for box in boxes if box.instance in moved]
 
 
-def _boxes(scan: Scan, instances: U16, lasting: Bool, origin: F64) -> list[list[object]]:
-    """Rows of ``boxes.csv`` for a scan."""
-    rows: list[list[object]] = []
+def _boxes(scan: Scan, instances: U16, lasting: Bool, origin: F64) -> Iterator[ObjectBox]:
+    """The boxes of the objects in a scan."""
     order = np.argsort(instances, kind="stable")
     ends = np.flatnonzero(np.diff(instances[order])) + 1
     for part in np.split(order, ends):
         if len(part) < BOXED or not lasting[instances[part[0]]]:
             continue
-        middle, size, yaw = box_around(scan.points[part].astype(np.float64) + origin)
-        stamp = "" if scan.stamp_ns is None else scan.stamp_ns
-        numbers = [f"{value:.3f}" for value in (*middle, *size)]
-        rows.append([scan.index, stamp, int(instances[part[0]]), len(part), *numbers, f"{yaw:.4f}"])
-    return rows
+        box = box_around(scan.points[part].astype(np.float64) + origin)
+        yield ObjectBox(scan.index, scan.stamp_ns, int(instances[part[0]]), len(part), *box)
