@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.finding import Confidence, Finding
+from dynaviz.sources.hypotheses import sizes
 from dynaviz.sources.hypotheses.sizes import FACTORS, FAR_POINTS, LONG_STEPS, median_range
 from dynaviz.sources.hypotheses.views import ScanView, comparable, hidden, pairs
 
@@ -125,8 +126,12 @@ def unusual_size(read: Read, rows: Sequence[int]) -> Finding | None:
 
 def _usual_reach(read: Read, rows: Sequence[int]) -> float:
     """Median range of the points of three scans, given units."""
-    shown = [read(rows[k]) for k in np.unique(np.linspace(0, len(rows) - 1, 3).astype(int))]
-    return float(np.median([_reach(scan.points, scan.position) for scan in shown]))
+
+    def points(row: int) -> F64:
+        scan = read(rows[row])
+        return scan.points.astype(np.float64) - scan.position
+
+    return sizes.reach(points, len(rows))
 
 
 def _reach(points: Points, position: F64) -> float:
