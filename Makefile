@@ -68,7 +68,7 @@ check: lint types test slow browser fuzz boundscheck docs
 
 .venv/.user: .venv/.venv pyproject.toml
 	@echo "installing dynaviz into .venv, about 1.5 GB ..."
-	@$(PIP) --no-compile --editable '.[explore]'
+	@$(PIP) --no-compile --editable '.[explore,report]'
 	@$(BIN)/python -m dynaviz.precompile
 	@touch $@
 

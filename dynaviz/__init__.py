@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from dynaviz.cleaning import clean
     from dynaviz.cleaning.reviewing import review
     from dynaviz.diagnosis import doctor
+    from dynaviz.errors import DataError, UsageError
     from dynaviz.explorer import explore
     from dynaviz.online import live
     from dynaviz.reports.reporting import report
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
     from dynaviz.scores.result import Result
 
 __all__ = [
+    "DataError",
     "Result",
+    "UsageError",
     "bench",
     "clean",
     "compare",
@@ -56,7 +59,9 @@ _HOMES = {
     "score": "dynaviz.api",
     "tune": "dynaviz.benchmarking.tune",
     "why": "dynaviz.runs.explanation",
+    "DataError": "dynaviz.errors",
     "Result": "dynaviz.scores.result",
+    "UsageError": "dynaviz.errors",
 }
 
 
@@ -71,4 +76,4 @@ def __getattr__(
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return [*__all__, "__version__"]  # what is meant to be used

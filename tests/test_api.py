@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, UsageError
 from dynaviz.scores.collect import combined
 from dynaviz.scores.result import Result
+from dynaviz.sources.options import Frames
 
 
 def test_a_recording_alone(little_room: InMemory, tmp_path: Path) -> None:
@@ -123,3 +125,52 @@ def test_a_broken_metric_ends_no_run_and_no_score(
         with pytest.warns(UserWarning, match="metric 'a_broken_one'"):
             total = combined([result, result])
         assert total.counts["static_kept"] == 2 * result.counts["static_kept"] > 0
+
+
+@pytest.mark.parametrize(
+    ("frames", "stride", "expected"),
+    [
+        ("1:4", 1, [1, 2, 3]),
+        ((1, 4), 1, [1, 2, 3]),
+        ((None, 2), 1, [0, 1]),
+        (slice(1, 4), 1, [1, 2, 3]),
+        (slice(None, None, 2), 1, [0, 2, 4]),
+        (slice(-2, None), 1, [3, 4]),
+        (range(1, 5, 2), 1, [1, 3]),
+        (range(1, 4), 2, [1, 3]),
+    ],
+)
+def test_frames_as_text_pair_slice_or_range(
+    frames: Frames, stride: int, expected: list[int]
+) -> None:
+    world = [(np.ones((2, 3)) * k, np.eye(4)) for k in range(5)]
+    drive = dv.open(world, frames=frames, stride=stride)
+    assert [int(scan.points[0, 0]) for scan in drive] == expected
+
+
+@pytest.mark.parametrize("frames", [3, (1, 2, 3), (0.5, 2), [None], {"a": 1}])
+def test_frames_of_another_kind_are_rejected(frames: Any) -> None:
+    with pytest.raises(UsageError, match="frames = "):
+        dv.open([(np.ones((2, 3)), np.eye(4))], frames=frames)
+
+
+def test_a_step_and_a_stride_are_not_both_given() -> None:
+    with pytest.raises(UsageError, match=r"stride = 2: the frames have the step 3 already"):
+        dv.open([(np.ones((2, 3)), np.eye(4))] * 9, frames=slice(0, 9, 3), stride=2)
+
+
+def test_what_a_session_shows_of_a_value_is_one_line(little_room: InMemory) -> None:
+    result = dv.run("octomap", little_room)
+    drive = dv.open(little_room)
+    assert repr(drive) == f"<Drive room: {len(drive)} frames, test, with ground truth>"
+    scores = ", ".join(f"{name} {result.metrics[name]:.2f}" for name in ("SA", "DA", "AA"))
+    assert repr(result) == f"<Result of octomap on room: {scores}>"
+    points = f"{result.sequence.points:,} points"
+    assert repr(result.labels) == f"<RunLabels of {len(drive)} frames, {points}>"
+    assert result._repr_html_().startswith("<pre>")
+
+
+def test_dir_lists_what_is_meant_to_be_used() -> None:
+    assert dir(dv) == sorted({*dv.__all__, "__version__"})
+    assert dv.UsageError is UsageError
+    assert dv.DataError is DataError

@@ -21,7 +21,7 @@ from dynaviz.precompile import quick_to_compile
 from dynaviz.spatial import geometry
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ("open3d", "matplotlib")
+HEAVY = ("open3d", "matplotlib", "jinja2")
 NOTEBOOK = (
     "IPython",
     "dash",

@@ -43,3 +43,15 @@ def test_a_broken_plug_in_is_listed_and_does_not_affect_others(
     with pytest.raises(PluginError, match=r"'broken'.*No module named 'no_such_module'"):
         registry.load("methods", "broken")
     assert registry.preset_files()
+
+
+@pytest.mark.parametrize("handle", registry.handles("datasets"), ids=lambda handle: handle.name)
+def test_a_class_is_found_by_its_name_and_the_name_by_the_class(
+    handle: registry.PluginHandle,
+) -> None:
+    """Tables name a format as the command line does, not by its class."""
+    assert registry.name_of("datasets", handle.load()) == handle.name
+
+
+def test_a_class_that_is_no_plugin_has_no_name() -> None:
+    assert registry.name_of("datasets", dict) is None

@@ -10,15 +10,19 @@ import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dynaviz.benchmarking.plan import BenchCell, ParameterSet, without_seed
+from dynaviz.rendered import html_of, text_of
 from dynaviz.scores.collect import combined
+from dynaviz.scores.data_frames import data_frame
 from dynaviz.scores.result import Result
 
 if TYPE_CHECKING:
+    import pandas
     from rich.console import RenderableType
 
+_WIDTH = 160  # of a printed leaderboard, in characters
 SHOWN = ("SA", "DA", "AA")
 """The scores of which the spread over seeds is stated."""
 
@@ -41,6 +45,24 @@ class BenchRow:
     error: str | None = None
     kept: bool = False
     outdated: str = ""
+
+    def plain(self) -> dict[str, Any]:
+        """The row of a data frame."""
+        used = self.cell.parameter_set
+        named = {
+            "sequence": self.cell.source.name,
+            "method": used.method,
+            "variant": used.variant,
+        }
+        if self.result is None:
+            return {**named, "error": self.error}
+        return {
+            **named,
+            **self.result.metrics,
+            **self.result.counts,
+            "mean_s": self.result.runtime.mean_s,
+            "error": None,
+        }
 
 
 @dataclass(frozen=True)
@@ -165,6 +187,25 @@ class Leaderboard:
         most = max(map(len, groups.values()), default=0)
         finished = [[row.result for row in rows if row.result] for rows in groups.values()]
         return [combined(results) for results in finished if len(results) == most > 1]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """One row per cell: what ran on what, its scores, points by outcome, seconds per frame, and
+        the error of a cell that failed. Pandas must be installed.
+
+        Raises:
+            UsageError: without pandas.
+        """
+        return data_frame(row.plain() for row in self.rows)
+
+    def __str__(self) -> str:
+        return text_of(self, _WIDTH)
+
+    def __repr__(self) -> str:
+        failed = f", {len(self.failed)} failed" if self.failed else ""
+        return f"<Leaderboard of {len(self.rows)} runs{failed}>"
+
+    def _repr_html_(self) -> str:
+        return html_of(self, _WIDTH)
 
     def __rich__(self) -> RenderableType:
         from rich.console import Group

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64
+from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import Attributes, Unposed
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
@@ -74,8 +75,8 @@ class Reader:
 
     @default
     def format(self) -> str:
-        """Name of the format, as results state it."""
-        return type(self).__name__
+        """Name of the format, as results state it: that on the command line, or of the class."""
+        return _format_of(type(self))
 
     @default
     def origin(self) -> F64:
@@ -168,14 +169,18 @@ class _PlainReader(Reader):
 
     @property
     def format(self) -> str:
-        """Name of the class of the sequence."""
-        return type(self._sequence).__name__
+        """That of the sequence."""
+        return _format_of(type(self._sequence))
 
     def __len__(self) -> int:
         return len(self._sequence)
 
     def __getitem__(self, position: int) -> Scan:
         return self._sequence[position]
+
+
+def _format_of(kind: type) -> str:
+    return registry.name_of("datasets", kind) or kind.__name__
 
 
 def reader_of(sequence: Sequence) -> Reader:

@@ -91,6 +91,12 @@ def load(kind: str, name: str) -> Any:
     return known[name].load()
 
 
+def name_of(kind: str, value: type) -> str | None:
+    """The name of a class on the command line; None if it is not a plug-in of that kind."""
+    target = f"{value.__module__}:{value.__qualname__}"
+    return next((handle.name for handle in handles(kind) if handle.target == target), None)
+
+
 def loadable(kind: str) -> dict[str, Any]:
     """All plug-ins of a kind by name, loaded.
 

@@ -118,6 +118,9 @@ class RunLabels(Sequence[Bool]):
     def __iter__(self) -> Iterator[Bool]:
         return (self[k] for k in range(len(self)))
 
+    def __repr__(self) -> str:
+        return f"<RunLabels of {len(self):,} frames, {int(self._ends[-1]):,} points>"
+
 
 def reasons_by_frame(path: Path, labels: RunLabels) -> Iterator[U8]:
     """(N,) uint8 for each frame.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import io
 import itertools
 import json
 import math
@@ -24,8 +23,10 @@ from dynaviz.contracts.plugin_code import Plugin
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import atomic_file
 from dynaviz.io.plain_json import read_json
+from dynaviz.rendered import html_of, text_of
 from dynaviz.scores.account import PointAccount
 from dynaviz.scores.answers import Answers, SavedAnswers
+from dynaviz.scores.data_frames import ResultTable, data_frame, rows_of
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.labels import RunLabels
 from dynaviz.scores.sections import (
@@ -41,12 +42,14 @@ from dynaviz.scores.sections import (
 from dynaviz.sources.origin import Origin, PoseFinding, PoseNoise, PoseRefinement, SourceReading
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    import pandas
+    from rich.console import RenderableType
     from rich.table import Table
 
 SCHEMA = 1
 _NOT_IN_FILE = {"sections", "answers"}  # sections are spread over the top level
 _REASONS = 3  # in a row of a table
+_WIDTH = 160  # of a printed result, in characters
 _HINT = "Give the result.json of a run"
 
 
@@ -136,7 +139,7 @@ class Result:
     @property
     def has_truth(self) -> bool:
         """Whether the sequence has ground truth, so that points are known to be right or wrong."""
-        return self.metrics.get("SA") is not None or self.metrics.get("DA") is not None
+        return self.sections.has_truth
 
     @property
     def failures(self) -> tuple[FailureCase, ...]:
@@ -255,21 +258,45 @@ class Result:
                 path, f"is not a valid result: {error}", hint="Run the method again"
             ) from None
 
+    def to_pandas(self, table: ResultTable = "cases") -> pandas.DataFrame:
+        """Rows of the result as a data frame; pandas must be installed.
+
+        Args:
+            table: ``cases`` (the failure cases; of a run without ground truth the clusters of
+                removed points), ``objects``, ``frames``, ``ranges`` or ``heights`` (points and
+                scores of each), or ``reasons``.
+
+        Returns:
+            One row each, with the fields of ``dynaviz.scores.sections`` and
+            ``dynaviz.scores.failure_case`` as columns; empty if no metric found them.
+
+        Raises:
+            UsageError: for another table, or without pandas.
+        """
+        return data_frame(rows_of(self.sections, table))
+
     def __rich__(self) -> RenderableType:
         return result_table([self])
 
     def __str__(self) -> str:
-        return self._rendered().export_text()
+        return text_of(self, _WIDTH)
+
+    def __repr__(self) -> str:
+        label = run_label(self.method, self.variant, self.online)
+        return f"<Result of {label} on {self.sequence.name}: {self._headline}>"
+
+    @property
+    def _headline(self) -> str:
+        """The scores, or how much was removed without ground truth."""
+        if self.has_truth:
+            return ", ".join(f"{name} {_percent(self, name)}" for name in ("SA", "DA", "AA"))
+        removals = self.sections.removals
+        if removals is None or removals.percent is None:
+            return "without ground truth"
+        return f"{removals.percent:.2f} % removed, without ground truth"
 
     def _repr_html_(self) -> str:
-        return self._rendered().export_html(inline_styles=True, code_format="<pre>{code}</pre>")
-
-    def _rendered(self) -> Console:
-        from rich.console import Console
-
-        console = Console(file=io.StringIO(), record=True, width=160)
-        console.print(self)
-        return console
+        return html_of(self, _WIDTH)
 
 
 def environment() -> Environment:

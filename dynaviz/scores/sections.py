@@ -360,6 +360,11 @@ class Sections(Struct, frozen=True, omit_defaults=True):
     voxelwise: Voxelwise | None = None
     other: Mapping[str, Any] = {}
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether points are known to be right or wrong."""
+        return self.metrics.get("SA") is not None or self.metrics.get("DA") is not None
+
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Sections:
         """From plain JSON values, as metrics return them and ``result.json`` contains them.

@@ -121,6 +121,11 @@ class Drive:
             scan = scan.moved(self._shift)
         return scan if self.truth else scan.without_truth()
 
+    def __repr__(self) -> str:
+        truth = "with" if self.has_labels else "without"
+        sensor = self.sensor.name or "unknown sensor"
+        return f"<Drive {self.name}: {len(self):,} frames, {sensor}, {truth} ground truth>"
+
     def select(self, frames: str | None = None, stride: int = 1) -> Drive:
         """Some of the frames.
 

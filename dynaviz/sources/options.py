@@ -8,12 +8,17 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypedDict, Unpack
 
 from dynaviz.contracts.options import option
+from dynaviz.errors import UsageError
+
+Frames = str | slice | range | tuple[int | None, int | None]
+"""Frames of a drive: ``A:B``, ``slice(A, B)``, ``range(A, B)`` or ``(A, B)``, positions as in a
+Python slice; a slice and a range may have a step."""
 
 
 class SequenceKeywords(TypedDict, total=False):
     """The keyword arguments of Python functions that open a sequence; see ``SequenceOptions``."""
 
-    frames: str | None
+    frames: Frames | None
     stride: int
     sensor: str | None
     poses: str | os.PathLike[str] | None
@@ -32,7 +37,12 @@ class SequenceOptions:
 
     frames: str | None = field(
         default=None,
-        metadata=option("Use only these frames, as in a Python slice.", metavar="A:B"),
+        metadata=option(
+            "Use only these frames, as in a Python slice.",
+            more="'A:B', (A, B), slice(A, B) or range(A, B).",
+            metavar="A:B",
+            accepts="Frames | None",
+        ),
     )
     stride: int = field(default=1, metadata=option("Use every N-th frame.", metavar="N"))
     sensor: str | None = field(
@@ -95,6 +105,13 @@ class SequenceOptions:
         for name in ("poses", "extrinsic", "sensor"):
             if isinstance(given.get(name), os.PathLike):
                 given[name] = os.fspath(given[name])
+        if not isinstance(given.get("frames"), str | None):
+            (given["frames"], step) = _frames_and_step(given["frames"])
+            if step != 1 and given.get("stride", 1) != 1:
+                raise UsageError(
+                    f"stride = {given['stride']}: the frames have the step {step} already. Give one"
+                )
+            given["stride"] = step if step != 1 else given.get("stride", 1)
         return cls(**given)
 
     @property
@@ -119,3 +136,25 @@ class SequenceOptions:
     def of_format(self) -> Mapping[str, Any]:
         """The options that the reader of a format may take, apart from poses."""
         return {"points_in": self.points_in, "deskew": self.deskew, "extrinsic": self.extrinsic}
+
+
+def _frames_and_step(frames: Any) -> tuple[str, int]:
+    """The frames of a slice, a range or a pair as ``A:B``, and their step.
+
+    Raises:
+        UsageError: for anything else.
+    """
+    if isinstance(frames, slice | range):
+        ends = (frames.start, frames.stop)
+        step = 1 if frames.step is None else frames.step
+    elif isinstance(frames, tuple | list) and len(frames) == 2:
+        ends = tuple(frames)
+        step = 1
+    else:
+        raise UsageError(
+            f"frames = {frames!r}: give 'A:B', (A, B), slice(A, B) or range(A, B), positions as "
+            "in a Python slice"
+        )
+    if not all(end is None or isinstance(end, int) for end in (*ends, step)):
+        raise UsageError(f"frames = {frames!r}: positions of frames are whole numbers")
+    return ":".join("" if end is None else str(end) for end in ends), step

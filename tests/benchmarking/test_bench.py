@@ -396,3 +396,14 @@ def test_a_folder_that_cannot_be_created_is_named(rooms: list[Path], tmp_path: P
         DataError, match=r"file/bench: cannot be written .* choose another folder with -o"
     ):
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path / "file/bench")
+
+
+def test_a_leaderboard_is_a_data_frame_with_a_row_for_each_cell(
+    mixed: tuple[Leaderboard, Path],
+) -> None:
+    board, _ = mixed
+    frame = board.to_pandas()
+    assert list(frame["method"]) == [row.cell.parameter_set.method for row in board.rows]
+    finished = frame[frame["error"].isna()]
+    assert list(finished["SA"]) == [result.metrics["SA"] for result in board.results]
+    assert repr(board) == "<Leaderboard of 4 runs, 2 failed>"

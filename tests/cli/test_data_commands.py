@@ -86,7 +86,7 @@ def test_convert_takes_poses_and_warns(run_command: Command, tmp_path: Path) -> 
     assert "warning: 50 of 100 points are unlabelled" in err
     code, out, _ = run_command("info", tmp_path / "out")
     assert code == 0
-    assert "BenchmarkSequence" in out
+    assert "benchmark" in out
 
 
 def test_convert_labels(run_command: Command, folder: Path, tmp_path: Path) -> None:

@@ -203,7 +203,7 @@ def test_a_pose_file_rules_out_the_benchmark_layout(tmp_path: Path) -> None:
 def test_formats_with_their_own_poses_refuse_a_pose_file(tmp_path: Path) -> None:
     write_pcd(tmp_path / "pcd/000000.pcd", dict(zip("xyz", XYZ[0].T, strict=True)), POSES[0])
     file = write_kitti_poses(tmp_path / "other.txt", POSES[:1])
-    with pytest.raises(UsageError, match="poses: not supported by BenchmarkSequence"):
+    with pytest.raises(UsageError, match="poses: not supported by the format benchmark"):
         dv.open(f"benchmark:{tmp_path}", poses=file)
     assert_equal(
         dv.open(tmp_path, poses=file), WORLD[:1], POSES[:1]

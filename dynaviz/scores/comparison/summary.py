@@ -5,7 +5,6 @@ Saved as JSON, shown as tables or Markdown.
 
 from __future__ import annotations
 
-import io
 import json
 import os
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ import msgspec
 
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
+from dynaviz.rendered import html_of, text_of
 from dynaviz.scores.comparison import tables
 from dynaviz.scores.comparison.counts import LEVEL, RESAMPLES, SEED, block_length
 from dynaviz.scores.comparison.pair import (
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
 
 SCHEMA = 1
+_WIDTH = 100  # of a printed comparison, in characters
 
 
 @dataclass(frozen=True)
@@ -138,11 +139,13 @@ class Comparison:
             yield tables.renderable(section)
 
     def __str__(self) -> str:
-        from rich.console import Console
+        return text_of(self, _WIDTH)
 
-        console = Console(file=io.StringIO(), record=True, width=100)
-        console.print(self)
-        return console.export_text()
+    def __repr__(self) -> str:
+        return f"<Comparison of {self.title}>"
+
+    def _repr_html_(self) -> str:
+        return html_of(self, _WIDTH)
 
 
 def _verdict(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> str:

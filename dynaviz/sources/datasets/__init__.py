@@ -129,8 +129,9 @@ def _check_options(dataset: type[Dataset], options: Mapping[str, Any]) -> None:
     """Raise UsageError if the format does not accept the options."""
     if not _accepts(dataset, options):
         flags = ", ".join("--" + name.replace("_", "-") for name in options)
+        format = registry.name_of("datasets", dataset) or dataset.__name__
         raise UsageError(
-            f"{flags}: not supported by {dataset.__name__}. Leave it out, or force another format "
+            f"{flags}: not supported by the format {format}. Leave it out, or force another format "
             "(files:PATH)"
         )
 

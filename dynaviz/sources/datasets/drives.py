@@ -42,6 +42,11 @@ class Joined(Reader):
         raise NotImplementedError
 
     @property
+    def format(self) -> str:
+        """Those of the parts."""
+        return " and ".join(dict.fromkeys(part.reader.format for part in self.parts))
+
+    @property
     def sensor(self) -> Sensor:
         """The sensor of the first part."""
         return self.parts[0].sensor

@@ -54,6 +54,11 @@ class ArraySequence(Reader):
     origin: F64 = field(default_factory=lambda: np.zeros(3))
     has_labels: bool = False
 
+    @property
+    def format(self) -> str:
+        """Arrays."""
+        return "arrays"
+
     @classmethod
     def of(
         cls,

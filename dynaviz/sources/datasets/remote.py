@@ -95,6 +95,11 @@ class RemoteSequence(Derived):
         self._fetch(list(self._scans.values())[position])
         return self.whole.coordinates(position)
 
+    @property
+    def format(self) -> str:
+        """That of the folder."""
+        return f"{self.whole.reader.format}, at a URL"
+
     def scan_file(self, index: int) -> Path | None:
         """The file of the frame with this number, on this machine."""
         if (path := self._scans.get(index)) is not None:

@@ -80,10 +80,11 @@ def _number(method: str) -> int:
 def style() -> Iterator[None]:
     """Matplotlib settings shared by all figures."""
     try:
+        import jinja2  # noqa: F401  # the page needs it after the figures
         import matplotlib as mpl
     except ModuleNotFoundError:
         raise MissingDependency(
-            "reports need matplotlib. Install it with: pip install matplotlib"
+            "reports need matplotlib and jinja2. Install them with: pip install matplotlib jinja2"
         ) from None
     with mpl.rc_context():
         mpl.rcdefaults()
