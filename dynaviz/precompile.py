@@ -35,7 +35,11 @@ def compiling(methods: Iterable[str]) -> Iterator[None]:
         yield
         return
     methods = set(methods)
-    print(kernels.COMPILING, file=sys.stderr, flush=True)
+    print(
+        f"{kernels.COMPILING} of {len(methods)} methods, kept for later ...",
+        file=sys.stderr,
+        flush=True,
+    )
     # methods of one module share kernels; two cores would compile these twice
     families: dict[str, list[str]] = {}
     for handle in registry.handles("methods"):

@@ -127,6 +127,6 @@ def test_kernels_are_compiled_once(command: Command) -> None:
         "np.float32), 0.5))"
     )
     first, again = (command("python", "-c", pack) for _ in range(2))
-    assert "compiling kernels, first run only" in first
+    assert "compiling kernels of dynaviz, kept for later" in first
     assert "compiling" not in again
     assert again in first

@@ -172,7 +172,7 @@ class Cleaned:
             yield from self.review.lines()
         if self.changes:
             yield from self.changes.lines()
-        yield from _table("Removed by reason", "reason", list(found.reasons.items()), found.removed)
+        yield from self._reasons()
         rows = [(_interval(r.low, r.high), r.removed, r.points) for r in found.range if r.points]
         yield from [
             "",
@@ -186,6 +186,24 @@ class Cleaned:
         )
         yield from self._cases()
         yield ""
+
+    def _reasons(self) -> Iterator[str]:
+        """Removed points by reason, with what each means."""
+        found = self.removals
+        if not found.reasons:
+            return
+        info = registry.load("methods", self.result.method).info
+        meaning = {reason.name: reason.meaning for reason in info.reasons}
+        yield from [
+            "",
+            "## Removed by reason",
+            "",
+            "| reason | points | share | meaning |",
+            "|---|---:|---:|---|",
+        ]
+        for name, n in found.reasons.items():
+            share = 100 * n / found.removed
+            yield f"| {name} | {n:,} | {share:.1f} % | {meaning.get(name, '')} |"
 
     def _about_poses(self) -> Iterator[str]:
         if self.poses is not None:
@@ -255,12 +273,6 @@ class Cleaned:
         from rich.markdown import Markdown
 
         return Markdown(self.markdown())
-
-
-def _table(title: str, column: str, counts: list[tuple[str, int]], total: int) -> Iterator[str]:
-    if counts:
-        yield from ["", f"## {title}", "", f"| {column} | points | share |", "|---|---:|---:|"]
-        yield from (f"| {name} | {n:,} | {100 * n / total:.1f} % |" for name, n in counts)
 
 
 def _interval(low: float | None, high: float | None) -> str:

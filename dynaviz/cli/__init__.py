@@ -27,13 +27,19 @@ from dynaviz.errors import DataError, DynavizError, interrupted, on_command_line
 
 __all__ = ["CommandLineError", "app", "main"]
 
+START = """\b
+Start with:
+  dynaviz demo                           see it work on a simulated street
+  dynaviz clean drive.bag -o clean.laz   clean your own data
+  dynaviz explore clean_run              see and correct what was removed
+"""
 
 app = typer.Typer(
     name="dynaviz",
     cls=Commands,
     help="Remove dynamic points from LiDAR maps, score the result point by point, and replay every "
     "error.",
-    epilog="Start with: dynaviz demo",
+    epilog=START,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,

@@ -163,7 +163,8 @@ def clean(
 
 def _show(cleaned: Cleaned, options: dict[str, Any], accept: bool, json: Path | None) -> None:
     """Print the summary, and what to do next; exit with 3 if the map is doubtful."""
-    if not print_json(cleaned.to_dict(), json):
+    printed = print_json(cleaned.to_dict(), json)
+    if not printed:
         show(cleaned, f"Written to {cleaned.maps[0].path} and {cleaned.folder}.")
         if options["record"] != "none":
             recording = shlex.quote(str(cleaned.folder / "run.rrd"))
@@ -176,7 +177,12 @@ def _show(cleaned: Cleaned, options: dict[str, Any], accept: bool, json: Path | 
                     f"Check what changed with: {program()} explore "
                     f"{shlex.quote(str(cleaned.changes.folder))}"
                 )
-        show(f"Points: {cleaned.account}")
     if cleaned.doubt and not accept:
-        warn(cleaned.doubt)
+        if printed:
+            warn(cleaned.doubt)
+        else:
+            warn(
+                "Check this map before you use it: why is said at the top of the summary. "
+                "Exit code 3; --accept gives 0."
+            )
         raise typer.Exit(3)

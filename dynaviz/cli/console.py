@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dynaviz.progress import Progress
 
 _quiet = False  # set by --quiet
-LOG_INTERVAL = 5.0  # seconds between two log lines of a phase
+LOG_INTERVAL = 10.0  # seconds between two log lines
 Unit = str | Mapping[str, str]
 """What a step of a phase is, in the plural; a mapping gives one for each phase."""
 
@@ -154,7 +154,9 @@ def progress(title: str, unit: Unit = "frames", keep: bool = True) -> Iterator[P
         with _bars(title, start, keep) as report:
             yield report
     else:
-        yield _lines(title, start)
+        lines = _LogLines(title, start)
+        yield lines.report
+        lines.end()
 
 
 @contextlib.contextmanager
@@ -193,15 +195,38 @@ def _bars(title: str, start: Callable[[str, int], PhaseTimer], keep: bool) -> It
         yield report
 
 
-def _lines(title: str, start: Callable[[str, int], PhaseTimer]) -> Progress:
-    timers: dict[str, PhaseTimer] = {}
-    printed: dict[str, float] = {}
+class _LogLines:
+    """Progress in a log: a line now and then, and one at the end with all phases.
 
-    def report(phase: str, done: int, total: int) -> None:
+    Args:
+        title: what has these phases.
+        start: gives the timer of a phase.
+    """
+
+    def __init__(self, title: str, start: Callable[[str, int], PhaseTimer]):
+        self._title = title
+        self._start = start
+        self._timers: dict[str, PhaseTimer] = {}
+        self._totals: dict[str, int] = {}
+        self._since = self._printed = time.monotonic()
+
+    def report(self, phase: str, done: int, total: int) -> None:
+        """As ``Progress``."""
         now = time.monotonic()
-        timer = timers.setdefault(phase, start(phase, done))
-        if done == total or now - printed.setdefault(phase, now) > LOG_INTERVAL:
-            printed[phase] = now
-            print(f"{title}: {timer.line(phase, done, total)}", file=sys.stderr, flush=True)
+        if phase not in self._timers:
+            self._timers[phase] = self._start(phase, done)
+        self._totals[phase] = total
+        if now - self._printed >= LOG_INTERVAL:
+            self._printed = now
+            self._print(self._timers[phase].line(phase, done, total))
 
-    return report
+    def end(self) -> None:
+        """Print what all phases did, and how long they took."""
+        did = [f"{name} {n}/{n} {self._timers[name].unit}" for name, n in self._totals.items()]
+        if did:
+            seconds = time.monotonic() - self._since
+            took = f"{seconds:.1f} s" if seconds < 10 else duration(seconds)
+            self._print(f"{', '.join(did)} in {took}")
+
+    def _print(self, text: str) -> None:
+        print(f"{self._title}: {text}", file=sys.stderr, flush=True)

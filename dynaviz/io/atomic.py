@@ -34,7 +34,7 @@ def open_file(path: str | os.PathLike[str], hint: str) -> Iterator[IO[bytes]]:
         hint: what to do if it cannot be read, for the error message.
 
     Raises:
-        DataError: if the file cannot be open_file or read.
+        DataError: if the file cannot be opened or read.
     """
     try:
         with open(path, "rb") as file:

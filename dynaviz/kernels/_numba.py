@@ -11,7 +11,7 @@ from typing import Any
 
 from dynaviz import source_files
 
-COMPILING = "compiling kernels, first run only ..."
+COMPILING = "compiling kernels"  # begins what is printed when kernels are compiled
 LAYERS = ("omp", "workqueue", "tbb")
 """Threading layers of numba, in order of preference.
 
@@ -59,24 +59,27 @@ def _postpone_blas() -> None:
 
 
 def _watch_compilation() -> None:
-    """Print a message on the first compilation of this process, and collect no garbage while a
-    kernel is compiled.
+    """Say what is compiled, once for each package or method of this process, and collect no
+    garbage while a kernel is compiled.
 
     The compiler makes so many objects that collections would take a fifth of its time.
     """
     from numba.core import event
 
     class Watcher(event.Listener):
-        announced = False
         depth = 0  # of kernels that call kernels; the compiler serves one thread at a time
         collects = False  # before the outermost kernel
 
+        def __init__(self) -> None:
+            self.announced = set[str]()
+
         def on_start(self, event: Any) -> None:
-            if not self.announced:
-                self.announced = True
+            owner = _owner(event.data["dispatcher"].py_func.__module__ or "")
+            if self.depth == 0 and owner not in self.announced:
+                self.announced.add(owner)
                 from rich.console import Console
 
-                Console(stderr=True).print(f"[dim]{COMPILING}[/]")
+                Console(stderr=True).print(f"[dim]{COMPILING} of {owner}, kept for later ...[/]")
             if self.depth == 0:
                 self.collects = gc.isenabled()
                 gc.disable()
@@ -88,6 +91,13 @@ def _watch_compilation() -> None:
                 gc.enable()
 
     event.register("numba:compile", Watcher())
+
+
+def _owner(module: str) -> str:
+    """Whose kernels a module has: the part of a package, such as a method, or the package."""
+    parts = module.split(".")
+    before = parts[: parts.index("kernels")] if "kernels" in parts else parts
+    return before[-1] if before else module
 
 
 def _stamp_caches() -> None:

@@ -283,17 +283,21 @@ def test_a_doubtful_map_ends_with_a_box_and_code_3(
     code, out, err = run_command(*words)
     assert code == 3
     assert (tmp_path / "map.pcd").is_file()
-    box = " ".join(err.replace("│", " ").split())
-    assert "check this map before you use it" in box
+    assert "Check this map before you use it" in err
+    box = " ".join(out.replace("▌", " ").split())
+    assert box.count("Check this map before you use it") == 1
     assert re.search(f"Likeliest cause: .*Try: .*{expected}", box)
     assert "docs/wrong_map.md" in box
     page = (tmp_path / "map_run/summary.md").read_text()
     assert page.startswith(
         f"# drive, cleaned with {METHOD}\n\n> **Check this map before you use it.**"
     )
+    code, out, err = run_command(*words, "--json", "-")
+    assert code == 3
+    assert re.search(f"Likeliest cause: .*{expected}", " ".join(err.replace("│", " ").split()))
     code, out, err = run_command(*words, "--accept", "--json", "-")
     assert code == 0
-    assert "check this map" not in err
+    assert "check this map" not in err.lower()
     assert json.loads(out)["doubt"]["command"]
 
 

@@ -139,15 +139,15 @@ def test_progress_shows_speed_and_the_time_left(
         lines = BenchProgress(report, cells=False)
         lines.planned(4)
         lines.preparing("survey street", 1, 20)
-        now[0] += 6.0
-        lines.preparing("survey street", 7, 20)
+        now[0] += 10.0
+        lines.preparing("survey street", 11, 20)
         lines.running(row.cell, "label", 7, 20)
         lines.ended(replace(row, error=None, kept=True))  # takes no time
         now[0] += 10.0
         lines.ended(row)
     printed = capsys.readouterr().err.splitlines()
-    assert printed[0] == "bench: survey street 7/20 frames, 1.0 frames/s, 13 s left"
-    assert [line.partition("]")[0] for line in printed[1:]] == ["[1/4", "[2/4, 20 s left"]
+    assert printed[0] == "bench: survey street 11/20 frames, 1.0 frames/s, 9 s left"
+    assert [line.partition("]")[0] for line in printed[1:3]] == ["[1/4", "[2/4, 20 s left"]
 
 
 def test_the_named_error_file_exists(

@@ -43,7 +43,7 @@ def test_exit_codes_list_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
     out, err = capsys.readouterr()
     assert "points in sensor frame" in out
     assert "Fix: " in out
-    assert "6/6 frames" in err
+    assert "reading 6/6 frames" in err
     written = json.loads((tmp_path / "findings.json").read_text())
     assert [(row["name"], row["confidence"]) for row in written["findings"]] == [
         ("points in sensor frame", "certain")

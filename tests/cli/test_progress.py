@@ -41,14 +41,35 @@ def test_log_lines_are_rare_and_complete(
     clock: list[float], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with progress("octomap on street", unit={"fetch": "MB"}) as report:
-        for done in range(1, 13):
+        for done in range(1, 16):
             clock[0] += 1.0
-            report("fetch", done, 12)
+            report("fetch", done, 15)
+        clock[0] += 7.0
+        report("label", 1, 1)
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
-        "octomap on street: fetch 7/12 MB, 1.0 MB/s, 5 s left",
-        "octomap on street: fetch 12/12 MB, 1.0 MB/s",
+        "octomap on street: fetch 10/15 MB, 1.0 MB/s, 5 s left",
+        "octomap on street: label 1/1 steps",
+        "octomap on street: fetch 15/15 MB, label 1/1 steps in 22 s",
     ]
+
+
+def test_a_quick_command_writes_one_line_and_a_failed_one_none(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with progress("octomap on street") as report:
+        clock[0] += 4.0
+        report("label", 5, 5)
+    assert capsys.readouterr().err == "octomap on street: label 5/5 frames in 4.0 s\n"
+    with pytest.raises(OSError, match="full"):
+        _fill_the_disk()
+    assert capsys.readouterr().err == ""
+
+
+def _fill_the_disk() -> None:
+    with progress("octomap on street") as report:
+        report("label", 3, 5)
+        raise OSError("the disk is full")
 
 
 def test_bars_show_speed_and_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
