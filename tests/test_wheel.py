@@ -92,6 +92,27 @@ def test_it_holds_the_three_packages_and_no_other(wheel: Path) -> None:
 
 
 @pytest.mark.slow
+def test_ros_finds_the_package_in_it(wheel: Path) -> None:
+    """What is installed for ROS 2, and where."""
+    prefix = f"{wheel.name.rpartition('-py3')[0]}.data/data"
+    content = zipfile.ZipFile(wheel)
+    names = set(content.namelist())
+    for name in (
+        "share/ament_index/resource_index/packages/dynaviz",
+        "share/dynaviz/package.xml",
+        "share/dynaviz/launch/live.launch.py",
+        "lib/dynaviz/live",
+    ):
+        assert f"{prefix}/{name}" in names
+    executable = content.getinfo(f"{prefix}/lib/dynaviz/live")
+    assert executable.external_attr >> 16 & 0o111
+    version = wheel.name.split("-")[1]
+    assert (
+        f"<version>{version}</version>"
+        in content.read(f"{prefix}/share/dynaviz/package.xml").decode()
+    )
+
+
 def test_it_runs_outside_the_checkout(command: Command, tmp_path: Path) -> None:
     where = command(
         "python",

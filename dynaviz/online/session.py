@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import threading
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +29,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
 from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import Moved, PosesOverTime, deskew
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ class LiveSession:
         self._kept: deque[Scan] = deque()
         self._count = 0
         self._origin: F64 | None = None  # subtracted from all positions
+        self._mapping = threading.RLock()  # held while the map changes or is read
         self._begin()
 
     @property
@@ -104,6 +107,8 @@ class LiveSession:
         stamp: int | None = None,
         *,
         points_in: str = "sensor",
+        times: ArrayLike | None = None,
+        path: PosesOverTime | None = None,
     ) -> Labels:
         """Learn from the next scan, and label its points by the scans so far, including this one.
 
@@ -113,6 +118,9 @@ class LiveSession:
             pose: (4, 4) float, metres: T_world_sensor; the world may be far from its origin.
             stamp: nanoseconds, or None.
             points_in: ``sensor`` or ``world``: the frame of the points.
+            times: (N,) int64, nanoseconds: when each point was measured, to deskew the scan.
+            path: poses of the sensor over these times, such as
+                ``dynaviz.spatial.trajectory.Trajectory.of(times, poses)``; with ``times``.
 
         Returns:
             (N,) bool and (N,) uint8: which points are dynamic, and the reason codes
@@ -125,10 +133,18 @@ class LiveSession:
         T = given_pose(pose, self._count)
         if points_in not in ("sensor", "world"):
             raise UsageError(f"points_in = {points_in}: give sensor or world")
+        if (times is None) != (path is None) or (path is not None and points_in == "world"):
+            raise UsageError("times and path deskew points in the sensor frame: give both of them")
         if self._origin is None:
             self._origin = far_origin(T[:3, 3])
         T[:3, 3] -= self._origin
         xyz = xyz[:, :3]
+        if path is not None:
+            moments = np.asarray(times, np.int64)
+            if moments.shape != (len(xyz),):
+                raise UsageError(f"times: {moments.shape} for {len(xyz)} points. Give one for each")
+            points_now, origins = deskew(xyz, moments, Moved(path, -self._origin))
+            return self._take(Scan(self._count, points_now, T, stamp, origins=origins))
         world = single(xyz - self._origin) if points_in == "world" else geometry.transform(T, xyz)
         return self._take(Scan(self._count, world, T, stamp))
 
@@ -144,10 +160,12 @@ class LiveSession:
     def _take(self, scan: Scan) -> Labels:
         """Learn from a scan in the session's own world frame, and label it."""
         if np.abs(scan.position).max() > self._window.farthest:
-            scan = self._restart(scan)
+            with self._mapping:
+                scan = self._restart(scan)
         labels = self._learn(scan)
         self._count += 1
-        self._map.add(scan, labels.dynamic)
+        with self._mapping:
+            self._map.add(scan, labels.dynamic)
         self._kept.append(scan)
         while len(self._kept) > self.settings.keep:
             self._forget(self._kept.popleft())
@@ -156,14 +174,16 @@ class LiveSession:
     def map(self) -> F32 | F64:
         """The static map within reach.
 
-        One point per voxel that was labelled static more often than dynamic.
+        One point per voxel that was labelled static more often than dynamic. Another thread may
+        call it while this one labels a scan, which waits only while the map changes.
 
         Returns:
             (M, 3), metres, world frame, to a 256th of a voxel; float64 if the world's origin is far
             away.
         """
-        points = self._map.points()
-        origin = self._origin
+        with self._mapping:
+            points = self._map.points()
+            origin = self._origin
         if origin is None or not origin.any():
             return points
         far: F64 = points + origin
@@ -198,7 +218,8 @@ class LiveSession:
         self._map = StaticMap(self._window, self.settings.map_voxel)
 
     def _learn(self, scan: Scan) -> Labels:
-        self._window.follow(scan)
+        with self._mapping:
+            self._window.follow(scan)
         seen, found = self._near.hidden(scan)
         self._method.observe(seen)
         return unjudged(self._method.label(seen), found, self.info)

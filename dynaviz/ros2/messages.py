@@ -1,18 +1,20 @@
-"""PointCloud2 messages: read x, y and z, and write the same cloud with labels.
+"""Messages of ROS 2: read points and poses, and write the same cloud with labels.
 
-Works with any class of messages.
-
-Nothing here imports ROS, so it is tested where ROS is not installed.
+Works with any class of messages, such as those of a bag.
 """
 
 from __future__ import annotations
 
+from array import array
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaviz.arrays import F64, I64
 from dynaviz.io.pointcloud2 import cloud_rows, cloud_xyz
+from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import FIELDS, point_times, unit_of
 
 # datatypes of sensor_msgs/PointField
 FLOAT32 = 7
@@ -52,23 +54,30 @@ def with_labels(
     message.fields = [*message.fields, *fields]
     message.point_step = data.shape[2]
     message.row_step = data.shape[1] * data.shape[2]
-    message.data = data.ravel()
+    flat = data.ravel()
+    # ROS checks anything but its own type byte by byte
+    message.data = array("B", flat.tobytes()) if isinstance(message.data, array) else flat
     return message
 
 
-def pose_of(translation: Any, rotation: Any) -> NDArray[np.float64]:
+def times_of(rows: NDArray[Any], stamp: int) -> I64 | None:
+    """(N,) int64, nanoseconds: when each point was measured; None if no field says so.
+
+    Args:
+        rows: (N,) points with all fields, of ``dynaviz.io.pointcloud2.cloud_rows``.
+        stamp: of the cloud, nanoseconds.
+    """
+    for name in FIELDS:
+        if name in (rows.dtype.names or ()) and not rows.dtype[name].shape:
+            unit = unit_of(rows[name])
+            return None if unit is None else point_times(rows[name], unit, stamp)
+    return None
+
+
+def pose_of(translation: Any, rotation: Any) -> F64:
     """(4, 4) float64: the pose of a geometry_msgs Vector3 or Point, metres, and Quaternion."""
-    x, y, z, w = np.array([rotation.x, rotation.y, rotation.z, rotation.w]) / np.linalg.norm(
-        [rotation.x, rotation.y, rotation.z, rotation.w]
-    )
-    T = np.eye(4)
-    T[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    T[:3, 3] = translation.x, translation.y, translation.z
-    return T
+    position = (translation.x, translation.y, translation.z)
+    return geometry.pose(position, (rotation.w, rotation.x, rotation.y, rotation.z))
 
 
 def stamp_of(header: Any) -> int:
