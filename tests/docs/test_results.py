@@ -145,12 +145,12 @@ def test_a_cell_follows_from_the_data(real_data: Path) -> None:
 
 
 def test_the_page_of_seethrough_says_which_drives_had_a_part_and_where_it_is_not_first() -> None:
-    rows = sealed_rows("docs/methods/seethrough_measured.md", "| drive | part in choosing |")
+    rows = sealed_rows("docs/measured/seethrough.md", "| drive | part in choosing |")
     sealed = [drive["name"] for drive in SEALED["drives"]]
     developed = [drive["name"] for drive in STORED["drives"]]
     assert list(rows) == [*sealed, *developed]  # rows of one drive replace each other
     assert all((cells[0] == "none: sealed") == (name in sealed) for name, cells in rows.items())
-    page = (ROOT / "docs/methods/seethrough_measured.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/measured/seethrough.md").read_text(encoding="utf-8")
     facts = {drive["name"]: drive for drive in (*SEALED["drives"], *STORED["drives"])}
     for file in (SEALED, STORED):
         for name, poses in {(c["drive"], c["poses"]) for c in file["cells"]}:
