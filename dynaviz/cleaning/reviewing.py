@@ -72,6 +72,9 @@ class Review:
         self._decisions = decisions_of(self._run) if review is None else Decisions(review)
         self._sequence = self._run.sequence(sequence, progress)
 
+    def __repr__(self) -> str:
+        return f"<Review of {self._run.folder}: {len(self.decisions)} decisions in {self.file}>"
+
     @property
     def file(self) -> Path:
         """The file with the decisions."""

@@ -66,15 +66,19 @@ class CaseEvidence:
 
     @property
     def text(self) -> str:
-        """The evidence in a sentence or two, as a person would say it."""
+        """The evidence in a sentence or two, as a person would say it.
+
+        It counts rays in the cell that the method uses. A look through the place of a point asks
+        for more: ``dynaviz.contracts.looks``.
+        """
         many = "" if self.points == 1 else f"in the median of {self.points:,} points, "
-        place = "its place" if self.points == 1 else "the place"
+        cell = "its cell" if self.points == 1 else "the cell"
         seen = (
-            f"{_scans(self.crossed, self.searched)} saw through {place}"
+            f"rays of {_scans(self.crossed, self.searched)} crossed {cell}"
             if self.crossed
-            else f"none of {_scans(self.searched)} saw through {place}"
+            else f"no rays of {_scans(self.searched)} crossed {cell}"
         )
-        hit = f"{self.hit:g} hit it" if self.hit else "none hit it"
+        hit = f"those of {self.hit:g} ended in it" if self.hit else "none ended in it"
         because = ""
         if self.deciding is not None and not self.alone:
             because = f" ({_because(self.deciding, self.points, self.removed)})"

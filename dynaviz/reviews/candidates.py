@@ -76,6 +76,9 @@ class Candidate:
         middle = [(a + b) / 2 for a, b in zip(self.low, self.high, strict=True)]
         return f"{size} m at " + ", ".join(f"{value:.1f}" for value in middle)
 
+    def __repr__(self) -> str:
+        return f"<Candidate {self.number}. {self.sentence}>"
+
     @property
     def sentence(self) -> str:
         """The candidate in one line."""

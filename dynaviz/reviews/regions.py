@@ -143,6 +143,9 @@ class ObjectRegion(Struct, frozen=True, tag="object"):
     edge: Annotated[float, Meta(gt=0.0)] = EDGE
     margin: Annotated[float, Meta(ge=0.0)] = ROUNDED
 
+    def __repr__(self) -> str:
+        return f"<ObjectRegion in {len(self.pieces)} frames>"
+
     def bounds(self, scan: Scan) -> tuple[F64, F64] | None:
         """(3,) lowest and highest corner at the time of a scan; None if it is not there."""
         found = self._at(scan)

@@ -84,8 +84,13 @@ def test_the_numbers_of_the_evidence_are_those_of_the_ledgers(recording: RunReco
             sum(entry.crossed > 0 for entry in ledger.entries) for ledger in ledgers
         )
         assert found.text.startswith("Removed: " if found.removed else "Kept: ")
-        assert (f"{found.hit:g} hit it" if found.hit else "none hit it") in found.text
-        seen = f"{found.crossed:g} of {found.searched} scans saw" if found.crossed else "none of"
+        ended = f"those of {found.hit:g} ended in it" if found.hit else "none ended in it"
+        assert ended in found.text
+        seen = (
+            f"rays of {found.crossed:g} of {found.searched} scans crossed"
+            if found.crossed
+            else "no rays of"
+        )
         assert seen in found.text
         assert found.deciding is not None
         for term in found.deciding.terms:

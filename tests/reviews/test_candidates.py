@@ -127,3 +127,11 @@ def test_a_review_lists_candidates_and_decides_about_them(tmp_path: Path) -> Non
     assert changed == pytest.approx(first.points, rel=0.05)
     again = dv.review(tmp_path / "run").candidates[0]
     assert again.key == first.key  # a decision does not change the questions
+
+
+def test_a_candidate_is_one_line_in_a_session() -> None:
+    (first, *_) = candidates(
+        ROOM.scans, [np.zeros(len(scan.points), np.bool_) for scan in ROOM.scans]
+    )
+    assert repr(first) == f"<Candidate 1. {first.sentence}>"
+    assert repr(first.region) == f"<ObjectRegion in {len(first.region.pieces)} frames>"
