@@ -110,6 +110,8 @@ class State:
             by index; empty for an index that is not in use.
         value_range: range of the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or
             ``RangeImage``.
+        at_cases: show it at failure cases alone, because it takes much room; ``--record full``
+            shows it in all frames.
     """
 
     name: str
@@ -117,6 +119,7 @@ class State:
     meaning: str
     legend: tuple[str, ...] = ()
     value_range: tuple[float, float] | None = None
+    at_cases: bool = False
 
 
 class Probe(Protocol):

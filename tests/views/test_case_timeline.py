@@ -21,6 +21,7 @@ from dynaviz.scores.spans import LANES, lane
 from dynaviz.views import paths
 from dynaviz.views.cases import DID, listed, suspicious
 from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.record import case_timeline
 from dynaviz.views.record.case_timeline import see
 
 
@@ -185,6 +186,18 @@ def test_recordings_open_at_the_first_case(recorded: RunRecording) -> None:
     assert set(shown) >= {
         state.name for state in Guess.info.emits if state.name not in ("remark", "count")
     }
+
+
+def test_no_picture_of_an_earlier_case_remains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(case_timeline, "PICTURES", 1)
+    recording = RunRecording(record_with_metrics(room(), tmp_path / "run.rrd"))
+    shown = at_cases(recording, "guess/ranges")
+    assert "DepthImage:buffer" in shown[1]
+    assert shown[2].keys() == {"Clear:is_recursive"}
+    assert list(shown) == [1, 2]
+    assert len(at_cases(recording, "world/guess/cells")) == len(failures(recording)) > 2
 
 
 def test_a_case_refers_to_pictures_where_nothing_else_shows_it() -> None:

@@ -31,7 +31,7 @@ from dynaviz.scores.comparison.counts import (
 from dynaviz.scores.comparison.pair import FrameChange, PlaceChange
 from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.spans import shared_objects
-from dynaviz.views import object_lanes, paths
+from dynaviz.views import object_lanes, paths, reading_order
 from dynaviz.views.compare import compare_layout, compared_cases
 from dynaviz.views.compare.agreement import AgreementLegend, agreed_points
 from dynaviz.views.compare.compare_layout import (
@@ -55,6 +55,7 @@ KEPT = (  # entities copied from each run
     paths.ROOT, paths.WORLD, paths.SCAN, f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY,
     f"{paths.SENSOR}/**", f"{paths.SCORES}/**", f"{paths.ERROR_DISTANCE}/**", paths.REPORT,
 )  # fmt: skip
+BY_FRAME = [SCAN, *(f"{side}/{path}" for side in SIDES for path in (paths.SCAN, paths.SENSOR))]
 LEGEND = (
     "Colours in each run's own views: blue dynamic, removed; orange dynamic, kept; yellow static, "
     "removed; "
@@ -162,17 +163,19 @@ def _bulk(gains: SpatialGains) -> F64:
 
 @contextlib.contextmanager
 def _stream(out: Path, title: str, layout: Any) -> Iterator[rr.RecordingStream]:
-    with atomic_file(out) as unfinished, contextlib.closing(open_writer(unfinished)) as writer:
-        stream = rr.RecordingStream(
-            "dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False
-        )
-        try:
-            stream.save(writer.inlet, default_blueprint=layout)
-            stream.set_log_time_enabled(False)
-            stream.send_recording_name(title)
-            yield stream
-        finally:
-            stream.disconnect()
+    with atomic_file(out) as unfinished:
+        with contextlib.closing(open_writer(unfinished)) as writer:
+            stream = rr.RecordingStream(
+                "dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False
+            )
+            try:
+                stream.save(writer.inlet, default_blueprint=layout)
+                stream.set_log_time_enabled(False)
+                stream.send_recording_name(title)
+                yield stream
+            finally:
+                stream.disconnect()
+        reading_order.rewrite(unfinished, layout, BY_FRAME)
 
 
 def _copy_run(stream: rr.RecordingStream, side: Side) -> None:

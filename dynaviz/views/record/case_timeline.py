@@ -37,6 +37,7 @@ AROUND = (
 AIM_LINES = 3
 BACK = 11.0  # metres: the same for the frame around the line from the sensor to the case
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
+FURTHER = 3  # cases with those that frames do not show
 LIFT = 0.22  # of this radius: height of the label above the box, so that it hides nothing
 EDGES = rr.Radius.ui_points(1.2)
 POINTS_ASKED = 64  # of a case: those whose evidence is stored
@@ -143,12 +144,23 @@ class CaseTimeline:
             self._sink.chunks(
                 drawn.at_case(path, case.number, near(path, row, (case.low + case.high) / 2))
                 for path, row in here.items()
-                if case.number <= PICTURES or path.startswith(paths.WORLD)
+                if case.number <= self._shown_until(path)
             )
+            for path in {path for path, _ in rows}:
+                if case.number == self._shown_until(path) + 1:
+                    # or the picture of an earlier case would remain
+                    self._sink.log(path, rr.Clear(recursive=False))
         self._by_frame(sensor, boxes)
         return deciding[0], _tracked(
             self._cases[0].low, self._cases[0].high, sensor[self._cases[0].frame]
         )
+
+    def _shown_until(self, path: str) -> int:
+        """The last case with what is drawn at a path."""
+        if path.startswith(f"{paths.WORLD}/"):
+            return len(self._cases)
+        further = {paths.state(self._info.name, each) for each in self._info.emits if each.at_cases}
+        return FURTHER if path in further else PICTURES
 
     def _deciding(self, here: dict[str, drawn.Row], case: ShownCase) -> str | None:
         """The name of the state with the largest share of its points or voxels in a case."""

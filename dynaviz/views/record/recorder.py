@@ -272,8 +272,19 @@ class Recorder(Listener):
             + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None)
         )
         self._open.properties(complete=True, result_json=json.dumps(result.to_dict()))
-        self._open.finish()
+        self._open.finish(self._by_frame(), self._only_at_cases())
         self._sink = None
+
+    def _by_frame(self) -> list[str]:
+        """Entities whose content makes up the frames."""
+        name = self._info.name
+        states = [f"{paths.WORLD}/{name}/**", f"{name}/**"]
+        return [paths.SCAN, paths.SENSOR, paths.ANSWERS, *states]
+
+    def _only_at_cases(self) -> list[str]:
+        """The states that a recording of errors shows at cases alone."""
+        states = self._states.values() if self.mode == "errors" else ()
+        return [paths.state(self._info.name, state) for state in states if state.at_cases]
 
     def _show_cases(self, result: Result, figures: Mapping[str, Figure]) -> Findings:
         """Write the timeline of cases; returns what the layout needs to know."""

@@ -20,7 +20,7 @@ import rerun as rr
 from rerun.chunk import Chunk, RrdReader
 
 from dynaviz.errors import DataError
-from dynaviz.views import paths, viewer
+from dynaviz.views import paths, reading_order, viewer
 from dynaviz.views.pipe import open_writer
 
 FLUSH_SECONDS = 60.0
@@ -64,6 +64,7 @@ class RecordingFile:
             raise self._unwritable(error) from None
         self._file = _stream(layout_id)
         self._file.save(self._writer.inlet, default_blueprint=blueprint)
+        self._layout = blueprint
         self._flushed = 0.0
         # the viewer has its own stream, so that it cannot damage the file
         self._streams = [self._file]
@@ -139,6 +140,7 @@ class RecordingFile:
 
     def layout(self, blueprint: Any) -> None:
         """Replace the viewer's layout."""
+        self._layout = blueprint
         for stream in self._streams:
             stream.send_blueprint(blueprint, make_active=True, make_default=True)
 
@@ -177,14 +179,21 @@ class RecordingFile:
         if len(self._streams) > 1 and self._port is not None and not viewer.listens(self._port):
             self._streams.pop().disconnect()
 
-    def finish(self) -> None:
-        """Close the file and give it its final name.
+    def finish(self, by_frame: Sequence[str] = (), left_out: Sequence[str] = ()) -> None:
+        """Close the file, put it into the order of reading, and give it its final name.
+
+        Args:
+            by_frame: entities whose content makes up the frames; none, and the file stays as it was
+                written.
+            left_out: of these, entities that remain only on the timeline of cases.
 
         Raises:
             DataError: if the end cannot be written; the part remains, for repair.
         """
         try:
             self._close()
+            if by_frame:
+                reading_order.rewrite(part_of(self.path), self._layout, by_frame, left_out)
             os.replace(part_of(self.path), self.path)
         except OSError as error:
             raise self._unwritable(error) from None

@@ -31,6 +31,7 @@ CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
 # a range image at most this much wider than high; its rows are repeated, or it would be a hairline
 WIDE = 4.5
 EMPTY = 255  # class of empty pixels
+GREYS = 255  # steps of the values of a picture
 
 
 def legend(state: State) -> Any:
@@ -153,7 +154,9 @@ def _picture(values: F32, state: State) -> Any:
         )
     low, high = state.value_range or _range(values)
     first, last = keys.stretched(low, high, keys.GREYS)
-    small = np.where(np.isnan(values), first, np.clip(values, low, high)).astype(np.float16)
+    step = (high - low) / GREYS  # as fine as the greys: finer steps only take more room
+    steps = np.round((np.clip(values, low, high) - low) / step)
+    small = np.where(np.isnan(values), first, low + steps * step).astype(np.float16)
     return rr.DepthImage(
         small,
         meter=1.0,

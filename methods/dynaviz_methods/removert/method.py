@@ -179,7 +179,11 @@ IMAGES = (
 STATES = (
     *(
         State(
-            f"{name}_{k}", RangeImage, f"{meaning}; metres, resolution {k}", value_range=value_range
+            f"{name}_{k}",
+            RangeImage,
+            f"{meaning}; metres, resolution {k}",
+            value_range=value_range,
+            at_cases=k > 1,
         )
         for k in range(1, SHOWN + 1)
         for name, meaning, value_range in IMAGES
