@@ -110,6 +110,8 @@ class State:
             by index; empty for an index that is not in use.
         value_range: range of the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or
             ``RangeImage``.
+        threshold: value at which a verdict changes, for the key; or the name of the parameter that
+            holds it. None if there is none.
         at_cases: show it at failure cases alone, because it takes much room; ``--record full``
             shows it in all frames.
     """
@@ -119,6 +121,7 @@ class State:
     meaning: str
     legend: tuple[str, ...] = ()
     value_range: tuple[float, float] | None = None
+    threshold: float | str | None = None
     at_cases: bool = False
 
 

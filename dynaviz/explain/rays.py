@@ -22,7 +22,7 @@ NAMES = {
     CROSSED: "crossed: evidence for dynamic",
     GRAZED: "grazed the surface: weak evidence for dynamic",
 }
-STRIPS = 60  # rays drawn of a case
+STRIPS = 15  # rays drawn of a case: more would hide it
 BEYOND = 40.0  # metres behind a point at which drawn rays end at the latest
 
 

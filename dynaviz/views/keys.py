@@ -6,7 +6,7 @@ And guides in polar grids.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -38,6 +38,7 @@ PART = (
 GREYS = (0.22, 1.0)  # part of the greys in use in pictures: black is for empty pixels
 CIRCLE = np.linspace(0.0, 2 * np.pi, 73)
 RING_COLOUR: colours.Colour = (150, 150, 160)
+APART = 0.2  # of a colour bar: numbers closer to the threshold are left out
 STANDING = 0.05  # metres between two scans: less is no motion
 
 
@@ -55,19 +56,26 @@ def tabs(info: MethodInfo) -> list[tuple[State, ...]]:
     return found
 
 
-def strip(states: Sequence[State]) -> rr.EncodedImage:
+def title(state: State) -> str:
+    """The name of a state as words."""
+    return state.name.replace("_", " ")
+
+
+def strip(states: Sequence[State], params: Mapping[str, Any] | None = None) -> rr.EncodedImage:
     """The key of the states of a tab as a picture.
 
-    A colour bar with numbers, or a swatch for each class.
-    """
-    import cv2
+    A colour bar with numbers and the threshold, or a swatch for each class.
 
-    picture: U8 = np.tile(np.array(colours.BACKGROUND, np.uint8), (ROW * len(states), WIDTH, 1))
+    Args:
+        states: of the tab.
+        params: of the run; without them, no threshold of a parameter is drawn.
+    """
+    picture = _empty(len(states), WIDTH)
     for k, state in enumerate(states):
         row = picture[k * ROW : (k + 1) * ROW]
         left = MARGIN
         if len(states) > 1:
-            _text(row, state.name, left, ROW // 2 + 5)
+            _text(row, title(state), left, ROW // 2 + 5)
             left += NAME_WIDTH
         if state.legend:
             shades = itertools.cycle(colours.CLASSES)
@@ -78,11 +86,33 @@ def strip(states: Sequence[State]) -> rr.EncodedImage:
         elif state.kind in (Mask, Plane) or (
             state.kind not in paths.FLAT and state.value_range is None
         ):
-            _swatches(row, [(state.name.replace("_", " "), colours.STATE)])
+            _swatches(row, [(title(state), colours.STATE)])
         else:
-            _bar(row, left, state)
+            _bar(row, left, state, _threshold(state, params or {}))
+    return _png(picture)
+
+
+def _empty(rows: int, width: int) -> U8:
+    """(ROW * rows, width, 3) uint8: an empty strip."""
+    return np.tile(np.array(colours.BACKGROUND, np.uint8), (ROW * rows, width, 1))
+
+
+def _png(picture: U8) -> rr.EncodedImage:
+    import cv2
+
     png = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
     return rr.EncodedImage(contents=png.tobytes(), media_type="image/png")
+
+
+def _threshold(state: State, params: Mapping[str, Any]) -> float | None:
+    """The value at which a verdict changes; None if it is unknown or outside the range."""
+    value = state.threshold
+    if isinstance(value, str):
+        value = params.get(value)
+    if value is None or state.value_range is None:
+        return None
+    low, high = state.value_range
+    return float(value) if low <= value <= high else None
 
 
 def heading(states: Sequence[State]) -> str:
@@ -118,14 +148,22 @@ def _viridis() -> U8:
     )
 
 
-def _bar(row: U8, left: int, state: State) -> None:
+def _bar(row: U8, left: int, state: State, threshold: float | None) -> None:
     right = WIDTH - MARGIN
     value_range = state.value_range
     shares = (np.arange(right - left) * STEPS // (right - left) / (STEPS - 1)).astype(np.float32)
     grey = (255 * (GREYS[0] + (GREYS[1] - GREYS[0]) * shares)).astype(np.uint8)[:, None]
     row[3 : 3 + BAR, left:right] = grey if issubclass(state.kind, paths.FLAT) else coloured(shares)
     low, high = value_range or (0.0, 1.0)
+    marked = None if threshold is None else (threshold - low) / (high - low)
+    if marked is not None:
+        column = int(left + marked * (right - left - 1))
+        row[: BAR + 6, max(column - 1, left) : column + 1] = TEXT
+        words = f"| {threshold:.3g}"
+        _text(row, words, min(column - 1, right - _width(words)), ROW - 6)
     for share in (0.0, 0.5, 1.0):
+        if marked is not None and abs(share - marked) < APART:
+            continue
         words = (
             f"{low + share * (high - low):.3g}"
             if value_range
@@ -136,7 +174,7 @@ def _bar(row: U8, left: int, state: State) -> None:
 
 
 def _swatches(row: U8, entries: Sequence[tuple[str, colours.Colour]]) -> None:
-    wide = (WIDTH - 2 * MARGIN) // max(len(entries), 1)
+    wide = (row.shape[1] - 2 * MARGIN) // max(len(entries), 1)
     scale = FONT_SCALE * min(
         1.0, (wide - 10) / max((_width(name) for name, _ in entries), default=1)
     )

@@ -26,6 +26,13 @@ CLEAR = 0.75  # opacity of voxels: wrong points inside remain visible
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
 
+BACKGROUND = [*colours.BACKGROUND, 255]
+# hovering over a point or ray lists at most three components, so this is not one of theirs
+WITHOUT_LABELS = [
+    rr.Points3D.from_fields(show_labels=False),
+    rr.LineStrips3D.from_fields(show_labels=False),
+]
+
 # A plot shows only curves of the current timeline, so each has some for frames and some for cases:
 # it is never empty.
 SCORE_CURVES = "scores [%]"
@@ -171,7 +178,7 @@ def _tabs(info: MethodInfo, found: Findings) -> list[Any]:
 
 def with_key(views: Sequence[Any], path: str, heading: str, name: str | None = None) -> Any:
     """Views of states, one above the other, with their key below."""
-    key = rrb.Spatial2DView(name=heading, origin=path, background=[*colours.BACKGROUND, 255])
+    key = rrb.Spatial2DView(name=heading, origin=path, background=BACKGROUND)
     shares = [KEY_SHARE / len(views)] * len(views) + [1 + 0.4 * (len(views) - 1)]
     return rrb.Vertical(*views, key, name=name, row_shares=shares)
 
@@ -179,10 +186,8 @@ def with_key(views: Sequence[Any], path: str, heading: str, name: str | None = N
 def _numbers(info: MethodInfo, found: Findings) -> Any:
     others = [f"- {path}" for path in (*SO_FAR, f"{paths.WRONG}/**", paths.WORST)]
     scores = rrb.Tabs(
-        _curves(SCORE_CURVES, [*SO_FAR, *IF_FIXED], rrb.Corner2D.LeftBottom, (0.0, 100.0)),
-        _curves(
-            "all scores", [f"{paths.SCORES}/**", *others], rrb.Corner2D.LeftBottom, (0.0, 100.0)
-        ),
+        _curves(SCORE_CURVES, [*SO_FAR, *IF_FIXED], rrb.Corner2D.LeftBottom),
+        _curves("all scores", [f"{paths.SCORES}/**", *others], rrb.Corner2D.LeftBottom),
         *_reasons_and_scalars(info, found),
     )
     distance = rrb.Tabs(
@@ -226,13 +231,8 @@ def _run_histogram(kind: str) -> list[str]:
     return [f"{paths.ERROR_DISTANCE}/{kind}/{part}" for part in ("run", "p10")]
 
 
-def _curves(
-    name: str, contents: list[str], legend: Any = None, limits: tuple[float, float] | None = None
-) -> Any:
-    axis = None if limits is None else rrb.ScalarAxis(range=limits, zoom_lock=True)
-    return rrb.TimeSeriesView(
-        name=name, contents=contents, plot_legend=legend or _NO_LEGEND, axis_y=axis
-    )
+def _curves(name: str, contents: list[str], legend: Any = None) -> Any:
+    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=legend or _NO_LEGEND)
 
 
 _NO_LEGEND = rrb.PlotLegend(visible=False)
@@ -249,14 +249,15 @@ def solid(
     origin: str = paths.WORLD,
     overrides: Any = None,
 ) -> Any:
-    """A 3D view without a grid."""
+    """A 3D view without a grid, and without labels of what does not ask for them."""
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
         contents=[f"/{path}" for path in contents],
-        background=[*colours.BACKGROUND, 255],
+        background=BACKGROUND,
         line_grid=False,
         eye_controls=eye,
+        defaults=WITHOUT_LABELS,
         overrides=overrides,
     )
 
@@ -264,9 +265,7 @@ def solid(
 def _state(method: str, state: State, found: Findings) -> Any:
     path = paths.state(method, state)
     if issubclass(state.kind, paths.FLAT):
-        return rrb.Spatial2DView(
-            name=state.name, origin=path, background=[*colours.BACKGROUND, 255]
-        )
+        return rrb.Spatial2DView(name=state.name, origin=path, background=BACKGROUND)
     errors = [paths.SCAN, paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND]
     context = [paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY]
     return solid(

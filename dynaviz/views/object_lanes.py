@@ -21,23 +21,29 @@ MOST = 8  # objects; more lanes would not fit into the view
 Parts = Sequence[tuple[str, Span]]  # states with their spans, in the order of frames
 
 
+def names(objects: Sequence[str]) -> list[str]:
+    """The name of each object as a part of a path: ``van_9``; of several alike, with a number."""
+    plain = [re.sub(r"\W+", "_", each).strip("_") for each in objects]  # paths escape spaces
+    return [
+        f"{name}_{plain[: k + 1].count(name)}" if plain.count(name) > 1 else name
+        for k, name in enumerate(plain)
+    ]
+
+
 def lanes(
-    number: int, title: str, ghost: bool, parts: Mapping[str, Parts]
+    name: str, ghost: bool, parts: Mapping[str, Parts]
 ) -> Iterator[tuple[str, Any, list[int], Any]]:
     """The lanes of an object.
 
     Of each its path, its style, the frames at which its state changes, and the states.
 
     Args:
-        number: of the object, 1 for the first.
-        title: what it is.
+        name: of the object, as in ``names``.
         ghost: whether it is dynamic, which decides the colours.
         parts: by the name of the lane.
     """
     shades = {state: (*colour, 255) for state, colour in colours.span_colours(ghost).items()}
     style = rr.StateConfiguration(values=list(shades), colors=list(shades.values()))
-    # paths escape spaces, which are hard to read
-    name = re.sub(r"\W+", "_", f"{number:02d} {title}").strip("_")
     for lane, states in parts.items():
         changes = {span[1] + 1: "" for _, span in states} | {
             span[0]: state for state, span in states

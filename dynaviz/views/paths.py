@@ -25,6 +25,7 @@ CASE = "case"  # timeline: the listed cases, 1, 2, ..., costliest first
 ROOT = "/"  # the legend of outcomes
 WORLD = "world"
 SCAN = "world/scan"  # the frame's points, class = outcome
+SCAN_ROWS = "scan_rows"  # of each of them its row in the scan, and how many it stands for
 MAP = "world/map"  # static: the cleaned map: points kept in the whole run, downsampled
 MAP_WRONG = "world/map/wrong"  # static: dynamic points kept, downsampled
 REMOVED = "world/removed"  # static: points removed in the whole run, downsampled
@@ -45,9 +46,11 @@ CASE_NAME = "world/case/box/names"  # its label, above it
 CASE_AROUND = "world/case/around"  # a circle around it, which the eye tracks
 CASE_AIM = "world/case/aim"  # a line from the sensor to it
 CASE_RAYS = "world/case/rays"  # rays of all scans that hit or crossed it
+RAY_CLASSES = "world/case"  # the legend of these
 CASE_LEDGERS = "case/ledgers"  # ledgers of its points, packed; not displayed
 # below it for each of the first cases and lane (``dynaviz.scores.spans``) a ``StateChange``
 OBJECTS = "objects"
+CASES_TABLE = "cases"  # a row of numbers and words per case
 CASE_TEXT = "case"  # Markdown: what happened, and why
 CASE_COST = "case_cost"  # curves over the timeline of cases: what each costs
 CASE_SCORE = "case_score"  # the same: scores if the cases up to each were right

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 import pytest
 from helpers.worlds import pose
@@ -31,6 +33,31 @@ def test_packing_loses_nothing(n: int, data: st.DataObject) -> None:
     for name in ("dynamic", "truth", "reasons", "bands"):
         np.testing.assert_array_equal(getattr(back, name), getattr(answers, name))
         assert getattr(back, name).dtype == getattr(answers, name).dtype
+
+
+def test_answers_of_earlier_recordings_are_read() -> None:
+    rng = np.random.default_rng(3)
+    bands = rng.integers(0, 5, 50).astype(np.uint8)
+    dynamic = rng.random(50) < 0.3
+    earlier = {
+        "index": np.array([7]),
+        "points": np.array([50]),
+        "predicted": compressed(np.packbits(dynamic)),
+        "truth": compressed(np.ones(50, np.uint8)),
+        "reasons": compressed(np.full(50, 2, np.uint8)),
+        "bands": compressed(bands),
+    }
+    read = FrameAnswers.unpacked(4, earlier)
+    np.testing.assert_array_equal(read.dynamic, dynamic)
+    np.testing.assert_array_equal(read.bands, bands)
+    assert set(read.truth.tolist()) == {1}
+    assert set(read.reasons.tolist()) == {2}
+    with pytest.raises(ValueError, match="9 values instead of 50"):
+        FrameAnswers.unpacked(4, earlier | {"truth": compressed(np.ones(9, np.uint8))})
+
+
+def compressed(array: np.ndarray) -> np.ndarray:
+    return np.frombuffer(zlib.compress(array.tobytes()), np.uint8)
 
 
 def test_truncated_data_is_an_error() -> None:

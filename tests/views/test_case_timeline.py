@@ -112,7 +112,7 @@ def test_objects_over_time_follow_from_the_result_and_the_ledgers(recorded: RunR
     (root,) = {
         path.rsplit("/", 1)[0]
         for path in recorded.entities()
-        if path.startswith(f"{paths.OBJECTS}/01_")
+        if path.startswith(f"{paths.OBJECTS}/moving_object_1")
     }
     spans = case.spans
     assert {"hit", "through"} & spans.keys()

@@ -7,6 +7,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+import rerun as rr
 from helpers.guessing_method import Guess
 from helpers.worlds import pose
 
@@ -18,7 +19,11 @@ from dynaviz.views.record import states
 
 
 def picture(*shown: State) -> np.ndarray:
-    png = bytes(keys.strip(shown).blob.as_arrow_array().to_pylist()[0])
+    return picture_of(keys.strip(shown))
+
+
+def picture_of(strip: rr.EncodedImage) -> np.ndarray:
+    png = bytes(strip.blob.as_arrow_array().to_pylist()[0])
     decoded = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     assert decoded is not None
     return np.asarray(decoded)[:, :, ::-1]
@@ -59,6 +64,23 @@ def test_a_key_shows_the_colours_in_use() -> None:
         )
         == 3 * keys.ROW
     )
+
+
+def test_the_key_marks_the_threshold_of_the_run() -> None:
+    fixed = State("odds", Voxels, "odds", value_range=(-2.0, 2.0), threshold=0.0)
+    of_run = dataclasses.replace(fixed, threshold="limit")
+    shown = [marks(of_run, {"limit": limit}) for limit in (-1.0, 1.0)]
+    assert marks(fixed, {}) == pytest.approx(keys.WIDTH / 2, abs=2)
+    assert shown[1] - shown[0] == pytest.approx((keys.WIDTH - 2 * keys.MARGIN) / 2, abs=2)
+    for unknown in ({}, {"limit": 5.0}):
+        assert marks(of_run, unknown) is None
+
+
+def marks(state: State, params: dict[str, float]) -> float | None:
+    """Column of the mark on a colour bar; None without a mark."""
+    row = picture_of(keys.strip([state], params))[3]
+    columns = np.flatnonzero((row == np.array(keys.TEXT)).all(1))
+    return float(columns.mean()) if len(columns) else None
 
 
 def test_the_scale_covers_its_part_of_the_colours() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.guessing_method import guess_run, record
+from helpers.guessing_method import guess_run, record, record_with_metrics
 from helpers.worlds import InMemory, room
 from rerun.chunk import RrdReader
 
@@ -62,7 +63,11 @@ def expected(sequence: InMemory) -> list[Labelled]:
 
 @pytest.mark.parametrize(
     ("mode", "entities"),
-    [(MODES[0], WORLD | STATES), (MODES[1], WORLD | STATES), (MODES[2], set())],
+    [
+        (MODES[0], WORLD | STATES),
+        (MODES[1], WORLD | STATES | {paths.SCAN_ROWS}),
+        (MODES[2], set()),
+    ],
 )
 def test_every_entity_is_recorded(
     little_room: InMemory, tmp_path: Path, mode: str, entities: set[str]
@@ -136,7 +141,6 @@ def test_the_map_contains_one_kept_point_per_voxel(little_room: InMemory, tmp_pa
     ):  # fmt: skip
         drawn = recording.static(path)
         assert set(classes.outcomes(drawn["Points3D:class_ids"])) == {outcome}
-        assert not drawn["Points3D:show_labels"].any()
         codes = [reasons[tuple(p.round(3))] for p in drawn["Points3D:positions"]]
         assert (drawn["Points3D:class_ids"] % classes.REASONS).tolist() == codes
     assert len(xyz) == len(np.unique(pack(kept - middle, 0.2)))
@@ -296,3 +300,18 @@ def test_a_recorder_wants_declared_states(
                 assert [recorder.wants(name) for name in ("cells", "unheard")] == wanted
 
         execute(guess_run(little_room), [recorder, Asking()], recorder)
+
+
+def test_hovering_over_a_point_or_a_ray_lists_its_class(
+    little_room: InMemory, tmp_path: Path
+) -> None:
+    """The viewer lists up to three components of what the mouse is on, and else their number."""
+    path = record_with_metrics(little_room, tmp_path / "run.rrd")
+    names: defaultdict[str, set[str]] = defaultdict(set)
+    for chunk in RrdReader(path).stream().to_chunks():
+        columns = [f for f in chunk.to_record_batch().schema if f.name not in chunk.timeline_names]
+        names[str(chunk.entity_path)] |= {f.name for f in columns if "rerun" not in f.name}
+    for entity in (paths.SCAN, paths.MAP, "world/guess/kinds", paths.CASE_RAYS):
+        own = names[f"/{entity}"] - {"AnnotationContext:context"}
+        assert any("class_ids" in name for name in own), entity
+        assert len(own) <= 3, own

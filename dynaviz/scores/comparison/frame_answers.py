@@ -1,6 +1,6 @@
 """The lossless part of a recording.
 
-Label, ground truth, reason and range band of each point, compressed by frame.
+Label, ground truth, reason and range band of each point, a column each.
 """
 
 from __future__ import annotations
@@ -68,30 +68,41 @@ class FrameAnswers:
     def packed(self) -> dict[str, NDArray[np.generic]]:
         """Components of the recording.
 
-        Two numbers, and four (bytes,) uint8 arrays compressed with zlib.
+        Two numbers, and four (N,) arrays, which a scan without points lacks.
         """
-        return {
+        numbers: dict[str, NDArray[np.generic]] = {
             "index": np.array([self.index], np.int64),
             "points": np.array([len(self)], np.int64),
-            "predicted": _compress(np.packbits(self.dynamic)),
-            "truth": _compress(self.truth),
-            "reasons": _compress(self.reasons),
-            "bands": _compress(self.bands),
         }
+        columns = {
+            "removed": self.dynamic.astype(np.uint8),
+            "truth": self.truth,
+            "reason": self.reasons,
+            "band": self.bands,
+        }
+        return numbers | (columns if len(self) else {})
 
     @classmethod
     def unpacked(cls, frame: int, components: dict[str, NDArray[np.generic]]) -> FrameAnswers:
         """The inverse of ``packed``.
 
+        Those of earlier recordings are compressed with zlib.
+
         Raises:
             ValueError, zlib.error: if the components are damaged.
         """
         n = int(components["points"][0])
-        bits = np.unpackbits(_decompress(components["predicted"], (n + 7) // 8), count=n)
-        truth, reasons, bands = (
-            _decompress(components[name], n) for name in ("truth", "reasons", "bands")
+        index = int(components["index"][0])
+        if "predicted" in components:
+            bits = np.unpackbits(_decompress(components["predicted"], (n + 7) // 8), count=n)
+            truth, reasons, bands = (
+                _decompress(components[name], n) for name in ("truth", "reasons", "bands")
+            )
+            return cls(frame, index, bits.astype(np.bool_), truth, reasons, bands)
+        removed, truth, reasons, bands = (
+            _complete(components.get(name), n) for name in ("removed", "truth", "reason", "band")
         )
-        return cls(frame, int(components["index"][0]), bits.astype(np.bool_), truth, reasons, bands)
+        return cls(frame, index, removed.astype(np.bool_), truth, reasons, bands)
 
 
 def range_bands(scan: Scan) -> U8:
@@ -108,17 +119,13 @@ def range_bands(scan: Scan) -> U8:
     return bands
 
 
-def _compress(array: U8) -> U8:
-    """Neighbouring points mostly have equal values, so run lengths suffice.
-
-    That is also several times faster.
-    """
-    packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
-    return np.frombuffer(packer.compress(array.tobytes()) + packer.flush(), np.uint8)
-
-
 def _decompress(blob: NDArray[np.generic], n: int) -> U8:
-    array = np.frombuffer(zlib.decompress(blob.tobytes()), np.uint8)
-    if len(array) != n:
-        raise ValueError(f"{len(array)} values instead of {n}")
-    return array
+    return _complete(np.frombuffer(zlib.decompress(blob.tobytes()), np.uint8), n)
+
+
+def _complete(array: NDArray[np.generic] | None, n: int) -> U8:
+    """The array, which must have ``n`` values; none is empty."""
+    values = np.empty(0, np.uint8) if array is None else array.astype(np.uint8)
+    if len(values) != n:
+        raise ValueError(f"{len(values)} values instead of {n}")
+    return values

@@ -336,7 +336,12 @@ def _keys(run: RunRecording) -> dict[str, rr.EncodedImage]:
         tabs = keys.tabs(registry.load("methods", method).info)
     except (UsageError, PluginError):
         return {}
-    return {paths.state(method, state): keys.strip(states) for states in tabs for state in states}
+    strips = {states: keys.strip(states, run.parameters) for states in tabs}
+    return {
+        paths.state(method, state): drawn_key
+        for states, drawn_key in strips.items()
+        for state in states
+    }
 
 
 def _texts(runs: tuple[RunRecording, RunRecording], found: Sequence[Difference]) -> list[str]:

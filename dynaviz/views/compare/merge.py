@@ -285,8 +285,10 @@ def _write_objects(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
     objects = shared_objects(
         {letter: result.failures for letter, result in results.items() if result}
     )
-    for number, (title, parts) in enumerate(objects[: object_lanes.MOST], 1):
-        for path, style, frames, states in object_lanes.lanes(number, title, True, parts):
+    shown = objects[: object_lanes.MOST]
+    names = object_lanes.names([title for title, _ in shown])
+    for name, (_, parts) in zip(names, shown, strict=True):
+        for path, style, frames, states in object_lanes.lanes(name, True, parts):
             stream.log(path, style, static=True)
             stream.send_columns(
                 path, indexes=[rr.TimeColumn(paths.FRAME, sequence=frames)], columns=states
@@ -321,7 +323,7 @@ def _write_agreement(
         sizes = -SIZES[drawn.right] * np.where(
             drawn.dynamic, np.float32(DYNAMIC_SCALE), np.float32(1)
         )
-        points = rr.Points3D(drawn.xyz, class_ids=drawn.ids, radii=sizes, show_labels=False)
+        points = rr.Points3D(drawn.xyz, class_ids=drawn.ids, radii=sizes)
         stream.log(SCAN, points)
         for number, difference in enumerate(found, 1):
             if difference.case.worst_frame == drawn.frame:
@@ -346,9 +348,7 @@ def _write_gains_by_cell(stream: rr.RecordingStream, fine: SpatialGains) -> None
     most = np.quantile(size, LARGEST) if len(size) else 1.0
     radii = BUBBLE * np.sqrt(np.minimum(size / most, 1.0))
     better = np.where(gain[changed] > 0, SECOND, FIRST).astype(np.uint16)
-    stream.log(
-        WHERE, rr.Points3D(centres, class_ids=better, radii=radii, show_labels=False), static=True
-    )
+    stream.log(WHERE, rr.Points3D(centres, class_ids=better, radii=radii), static=True)
 
 
 def _write_places(stream: rr.RecordingStream, places: Sequence[PlaceChange]) -> None:

@@ -399,7 +399,7 @@ class RunRecording(AnyRecording):
 
     def drawn(self) -> Iterator[DrawnPoints]:
         """The drawn points, frame by frame, of some frames none; nothing in ``scores`` mode."""
-        for frame, components in self.rows(paths.SCAN):
+        for frame, components in self._with_scan_rows():
             if "Clear:is_recursive" in components:  # left out because of a budget
                 nothing = np.empty(0, np.int64)
                 yield DrawnPoints(
@@ -425,6 +425,18 @@ class RunRecording(AnyRecording):
                     components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
                 )
             yield points
+
+    def _with_scan_rows(self) -> Iterator[tuple[int, dict[str, Any]]]:
+        """What is drawn of each scan, with the rows of its points.
+
+        Those of earlier recordings are components of the points themselves.
+        """
+        details = self.rows(paths.SCAN_ROWS)
+        last: tuple[int, dict[str, Any]] = (-1, {})
+        for frame, components in self.rows(paths.SCAN):
+            while last[0] < frame:
+                last = next(details, (frame + 1, {}))
+            yield frame, components | (last[1] if last[0] == frame else {})
 
 
 def open_store(path: Path) -> Any:

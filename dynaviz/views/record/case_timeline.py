@@ -44,6 +44,7 @@ POINTS_ASKED = 64  # of a case: those whose evidence is stored
 APART = 0.1  # metres: two of them are not in one cube of this edge
 THIN = rr.Radius.ui_points(0.5)
 RAYS = rr.Radius.ui_points(0.35)
+OPACITY = 150  # of rays, of 255: the object behind them remains visible
 HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
 
 Repeat = Callable[[Sequence[tuple[int, Sequence[int]]]], list[tuple[PointLedger, ...]]]
@@ -63,6 +64,7 @@ class CaseTimeline:
         self._sink = sink
         self._info = info
         self._cases = cases
+        self._names = object_lanes.names([object_of(case) for case in cases])
 
     def write_texts(self) -> None:
         """The texts alone, for recordings without coordinates."""
@@ -118,12 +120,11 @@ class CaseTimeline:
         """
         states = [f"{paths.WORLD}/{self._info.name}/**", f"{self._info.name}/**"]
         drawn_boxes = [paths.FAILURES, paths.CLUSTERS]
-        contents = [paths.SCAN, paths.SENSOR, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
+        scan = [paths.SCAN, paths.SCAN_ROWS, paths.SENSOR]
+        contents = [*scan, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
         self._styles()
-        asked = [
-            points_of(case, rows.get((paths.SCAN, case.frame)), members) for case in self._cases
-        ]
+        asked = [points_of(case, scan_of(rows, case.frame), members) for case in self._cases]
         ledgers = repeat(
             [(case.frame, points) for case, points in zip(self._cases, asked, strict=True)]
         )
@@ -131,7 +132,11 @@ class CaseTimeline:
         deciding = []
         for case, found in zip(self._cases, ledgers, strict=True):
             self._sink.at_case(case.number)
-            here = {path: row for (path, frame), row in rows.items() if frame == case.frame}
+            here = {
+                path: row
+                for (path, frame), row in rows.items()
+                if frame == case.frame and path != paths.SCAN_ROWS
+            }
             deciding.append(self._deciding(here, case))
             self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
             self._rays(rays.rays_of(found, rays.STRIPS))
@@ -146,7 +151,7 @@ class CaseTimeline:
                 for path, row in here.items()
                 if case.number <= self._shown_until(path)
             )
-            for path in {path for path, _ in rows}:
+            for path in {path for path, _ in rows if path != paths.SCAN_ROWS}:
                 if case.number == self._shown_until(path) + 1:
                     # or the picture of an earlier case would remain
                     self._sink.log(path, rr.Clear(recursive=False))
@@ -192,13 +197,9 @@ class CaseTimeline:
         log(paths.CASE_NAME, NAME_STYLE, static=True)
         log(paths.CASE_AROUND, lines(colors=[90, 90, 100], radii=THIN), static=True)
         log(paths.CASE_AIM, lines(colors=[70, 70, 80], radii=THIN), static=True)
-        legend = [(kind, name, colours.RAYS[kind]) for kind, name in rays.NAMES.items()]
-        log(
-            paths.CASE_RAYS,
-            rr.AnnotationContext(legend),
-            lines(radii=RAYS, show_labels=False),
-            static=True,
-        )
+        legend = [(kind, name, (*colours.RAYS[kind], OPACITY)) for kind, name in rays.NAMES.items()]
+        log(paths.RAY_CLASSES, rr.AnnotationContext(legend), static=True)
+        log(paths.CASE_RAYS, lines(radii=RAYS), static=True)
 
     def _rays(self, touching: rays.TouchingRays) -> None:
         kinds = touching.kinds.astype(np.uint16)
@@ -212,9 +213,8 @@ class CaseTimeline:
             return
         parts = {name: lane(case.spans, name) for name in LANES}
         ghost = case.outcome == Outcome.FALSE_NEGATIVE
-        for path, style, frames, states in object_lanes.lanes(
-            case.number, case.title, ghost, parts
-        ):
+        name = self._names[case.number - 1]
+        for path, style, frames, states in object_lanes.lanes(name, ghost, parts):
             self._sink.log(path, style, static=True)
             self._sink.columns(path, frames, [None], states)
 
@@ -262,6 +262,15 @@ class CaseTimeline:
                 self._sink.at(frame, None)
                 self._text(f"{case.text}\n\n{HOW}")
                 last = case
+
+
+def object_of(case: ShownCase) -> str:
+    """The object or place of a case: ``van 9``, ``ground``."""
+    failure = case.failure
+    if failure is None:
+        return case.title
+    number = "" if failure.instance is None else str(failure.instance)
+    return failure.what if number in failure.what else f"{failure.what} {number}"
 
 
 def see(info: MethodInfo, state: str | None) -> str:
@@ -315,6 +324,12 @@ def _aims(sensor: F64, middle: F64) -> F32:
         np.stack([np.stack([sensor, middle], 1), *specks], 1).astype(np.float32).reshape(-1, 2, 3)
     )
     return lines
+
+
+def scan_of(rows: Mapping[tuple[str, int], drawn.Row], frame: int) -> drawn.Row | None:
+    """The points of a frame, with their rows in its scan."""
+    points = rows.get((paths.SCAN, frame))
+    return None if points is None else {**rows.get((paths.SCAN_ROWS, frame), {}), **points}
 
 
 def points_of(case: ShownCase, scan: drawn.Row | None, members: Members) -> list[int]:

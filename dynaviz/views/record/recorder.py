@@ -36,7 +36,7 @@ from dynaviz.views import cases, classes, keys, paths, viewer
 from dynaviz.views.background import Background
 from dynaviz.views.curves import WRONG_POINTS, Curves
 from dynaviz.views.layout import Findings, layout
-from dynaviz.views.record import sink, states, turns
+from dynaviz.views.record import case_table, sink, states, turns
 from dynaviz.views.record.budget import Budget
 from dynaviz.views.record.case_timeline import CaseTimeline
 from dynaviz.views.record.quota import Quota
@@ -279,7 +279,7 @@ class Recorder(Listener):
         """Entities whose content makes up the frames."""
         name = self._info.name
         states = [f"{paths.WORLD}/{name}/**", f"{name}/**"]
-        return [paths.SCAN, paths.SENSOR, paths.ANSWERS, *states]
+        return [paths.SCAN, paths.SCAN_ROWS, paths.SENSOR, paths.ANSWERS, *states]
 
     def _only_at_cases(self) -> list[str]:
         """The states that a recording of errors shows at cases alone."""
@@ -296,6 +296,7 @@ class Recorder(Listener):
             return Findings(truth, reasons=curves)
         timeline = CaseTimeline(self._open, self._info, shown)
         timeline.write_curves(result.metrics)
+        case_table.write(self._open, shown)
         if self._scene is None:
             timeline.write_texts()
             return Findings(truth, True, reasons=curves)
@@ -422,7 +423,8 @@ class Recorder(Listener):
             if (context := states.legend(state)) is not None:
                 self._open.log(paths.state(self._info.name, state), context, static=True)
         for tab in keys.tabs(self._info) if self._states else ():
-            self._open.log(paths.key(self._info.name, tab[0]), keys.strip(tab), static=True)
+            key = keys.strip(tab, dataclasses.asdict(self._run.params))
+            self._open.log(paths.key(self._info.name, tab[0]), key, static=True)
 
     def _draw_states(
         self, queue: list[tuple[State, Value]], scan: Scan, errors: F32 | None = None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import rerun as rr
 
@@ -180,25 +178,19 @@ class MapDrawing:
 
     def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
         reasons = labelled.reasons[chosen]
-        what: list[Any] = [
-            self._cloud(labelled.scan.points[chosen], labelled.outcome[chosen], reasons)
-        ]
+        cloud = self._cloud(labelled.scan.points[chosen], labelled.outcome[chosen], reasons)
+        self._sink.log(paths.SCAN, cloud)
         if len(chosen) and stands_for is not None:
-            details = {
+            rows = {
                 "point": chosen.astype(np.uint32),
                 "stands_for": stands_for.astype(np.uint32),
-                "reason": reasons,
             }
-            what.append(rr.DynamicArchetype("dynaviz.Scan", components=details))
-        self._sink.log(paths.SCAN, *what)
+            self._sink.log(paths.SCAN_ROWS, rr.DynamicArchetype("dynaviz.Scan", components=rows))
 
     def _cloud(self, xyz: F32, outcome: U8, reasons: U8) -> rr.Points3D:
-        """Points with their class.
-
-        Without ``show_labels=False`` the viewer would print it at each of a few points.
-        """
+        """Points with their class; views switch off its label at each point."""
         ids = classes.encode(outcome, reasons, self._named)
-        return rr.Points3D(xyz, class_ids=ids, radii=_radii(outcome), show_labels=False)
+        return rr.Points3D(xyz, class_ids=ids, radii=_radii(outcome))
 
 
 def with_labels(frames: I64, cases: I64, middle: F32) -> Bool:

@@ -70,7 +70,6 @@ def draw(value: Value, state: State, scan: Scan, budget: Budget | None) -> Any:
                 scan.points[chosen],
                 class_ids=classes[chosen],
                 radii=rr.Radius.ui_points(2.0),
-                show_labels=False,
             )
         case Mask(mask):
             xyz = scan.points[mask]

@@ -180,6 +180,7 @@ STATES = (
         PolarGrid,
         "Smaller of both heights divided by the larger; at most 1",
         value_range=(0.0, 1.0),
+        threshold="scan_ratio",
     ),
     State(
         "status",
@@ -198,7 +199,11 @@ STATES = (
         value_range=(2.0, 6.0),
     ),
     State(
-        "flagged", Voxels, "Cubes with map points of flagged bins; ratio", value_range=(0.0, 0.3)
+        "flagged",
+        Voxels,
+        "Cubes with map points of flagged bins; ratio",
+        value_range=(0.0, 0.3),
+        threshold="scan_ratio",
     ),
     State(
         "removed",
