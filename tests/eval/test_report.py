@@ -326,3 +326,19 @@ def test_the_ceiling_has_a_table_and_a_bar_of_each_method(study):
     assert row["dynamic points [%]: kept, evidence"] == "15.5"
     assert "Dynamic points on hall by answer" in report(study(known), "html")
     assert "What the drive showed" not in report(study(result("erasor")), "md")
+
+
+def test_runs_of_one_method_with_other_code_are_said(study):
+    codes = {"octomap": ("aa" * 32, "ab" * 32), "erasor": ("cc" * 32, "cc" * 32)}
+    runs = [
+        result(method, sequence, plugin={"sha256": code})
+        for method, both in codes.items()
+        for sequence, code in zip(("hall", "street"), both, strict=True)
+    ]
+    text = report(study(*runs), "md")
+    rows = markdown_table(text, "All runs")
+    assert sorted(row["code"] for row in rows) == ["aaaaaaaa", "abababab", "cccccccc", "cccccccc"]
+    assert "The code differs between the runs of octomap." in text
+    alike = report(study(*runs[2:], result("removert")), "md")
+    assert "The code differs" not in alike
+    assert "n/a" in {row["code"] for row in markdown_table(alike, "All runs")}

@@ -232,7 +232,7 @@ def test_json(runs: dict[str, Path], tmp_path: Path) -> None:
     assert list(first) == [
         "first", "second", "scores", "right", "by_range", "by_reason", "frames", "places",
         "places_note", "differ",
-        "runtime", "removed", "over_movers", "objects",
+        "runtime", "removed", "over_movers", "objects", "surfaces",
     ]  # fmt: skip
     assert list(first["scores"]) == ["SA", "DA", "AA", "HA", "FP", "FN"]
     assert list(first["scores"]["FP"]) == ["first", "second", "delta", "interval"]

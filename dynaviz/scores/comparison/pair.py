@@ -35,6 +35,7 @@ from dynaviz.scores.comparison.settings import (
     runtime_ratio,
     setting_changes,
 )
+from dynaviz.scores.comparison.surfaces import SurfaceChange, surface_changes
 from dynaviz.scores.looks import Ceiling
 from dynaviz.scores.movers import change_intervals
 from dynaviz.scores.result import Result
@@ -257,6 +258,8 @@ class PairComparison:
             if movers are few or unknown.
         objects: moving objects with a number of which they removed different shares, at most
             ``MOST``, those that change DA most first.
+        surfaces: static surfaces of which they removed different numbers of points, by their listed
+            cases, at most ``MOST``, those that change SA most first.
     """
 
     first: str
@@ -273,6 +276,7 @@ class PairComparison:
     removed: RemovalComparison | None = None
     over_movers: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     objects: tuple[ObjectChange, ...] = ()
+    surfaces: tuple[SurfaceChange, ...] = ()
 
 
 def compare_pair(
@@ -310,6 +314,7 @@ def compare_pair(
         removed=_removals(counts, reasons),
         over_movers=change_intervals(*results),
         objects=object_changes(*results)[:MOST],
+        surfaces=surface_changes(*results)[:MOST],
     )
 
 

@@ -19,6 +19,7 @@ from dynaviz.scores.comparison.pair import (
     RemovalComparison,
 )
 from dynaviz.scores.comparison.settings import text
+from dynaviz.scores.comparison.surfaces import SurfaceChange
 from dynaviz.scores.looks import Estimate
 from dynaviz.scores.scores import SCORES
 
@@ -63,7 +64,10 @@ def sections(
         if pair.objects:
             yield _objects(pair.objects)
         yield _frames(pair)
-        yield _places(pair)
+        if pair.surfaces:
+            yield _surfaces(pair.surfaces)
+        else:
+            yield _places(pair)
     else:
         yield _scores_of_many(runs, pairs)
         yield from _ceilings(runs)
@@ -289,6 +293,34 @@ def _why_kept(change: ObjectChange) -> str:
     worse: ObjectFate = change.first if change.gain_DA > 0 else change.second
     if worse.case is None:
         return "not among the listed cases"
+    return f"{letter} case {worse.case}: {worse.cause or 'unknown'}"
+
+
+def _surfaces(surfaces: Sequence[SurfaceChange]) -> TableSection:
+    head = ("#", "surface", "frames", "A lost [SA]", "B lost [SA]", "SA gain", "why it is removed")
+    rows = [
+        (
+            f"{number}",
+            each.what,
+            f"{each.first_frame}-{each.last_frame}",
+            f"{each.first.lost:.2f}",
+            f"{each.second.lost:.2f}",
+            f"{each.gain_SA:+.2f}",
+            _why_removed(each),
+        )
+        for number, each in enumerate(surfaces, 1)
+    ]
+    note = (
+        "By the listed cases. Of the run that removed more: its case, and the cause that was "
+        "measured there"
+    )
+    return TableSection("Static surfaces that change most", head, tuple(rows), note)
+
+
+def _why_removed(change: SurfaceChange) -> str:
+    """Why the run that removed more did so."""
+    letter = "A" if change.gain_SA > 0 else "B"
+    worse = change.first if change.gain_SA > 0 else change.second
     return f"{letter} case {worse.case}: {worse.cause or 'unknown'}"
 
 

@@ -28,7 +28,7 @@ from dynaviz.scores.comparison.counts import (
     SpatialGains,
     frame_gains,
 )
-from dynaviz.scores.comparison.pair import FrameChange, PlaceChange
+from dynaviz.scores.comparison.pair import FrameChange, PairComparison
 from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.spans import shared_objects
 from dynaviz.views import object_lanes, paths, reading_order
@@ -126,7 +126,7 @@ def write(
             stream.log(COMPARE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             _write_ground(stream, sides[0])
             _write_gains_by_cell(stream, fine[0])
-            _write_places(stream, comparison.pairs[0].places or ())
+            _write_places(stream, comparison.pairs[0])
         for done, side in enumerate(sides, 1):
             _copy_run(stream, side)
             progress("writing", done, len(sides))
@@ -351,15 +351,22 @@ def _write_gains_by_cell(stream: rr.RecordingStream, fine: SpatialGains) -> None
     stream.log(WHERE, rr.Points3D(centres, class_ids=better, radii=radii), static=True)
 
 
-def _write_places(stream: rr.RecordingStream, places: Sequence[PlaceChange]) -> None:
-    """The places in the report, as numbered boxes."""
+def _write_places(stream: rr.RecordingStream, pair: PairComparison) -> None:
+    """The surfaces in the report, or the places if none is known, as numbered boxes."""
+    if pair.surfaces:
+        boxes = [(each.low, each.high, each.gain_SA) for each in pair.surfaces]
+    else:
+        boxes = [
+            ((*each.low, each.height - 0.5), (*each.high, each.height + 2.5), each.gain)
+            for each in pair.places or ()
+        ]
     stream.log(
         PLACES,
         rr.Boxes3D(
-            mins=[[*place.low, place.height - 0.5] for place in places],
-            sizes=[[*np.subtract(place.high, place.low), 3.0] for place in places],
-            labels=[str(number) for number in range(1, len(places) + 1)],
-            class_ids=[SECOND if place.gain > 0 else FIRST for place in places],
+            mins=[low for low, _, _ in boxes],
+            sizes=[np.subtract(high, low) for low, high, _ in boxes],
+            labels=[str(number) for number in range(1, len(boxes) + 1)],
+            class_ids=[SECOND if gain > 0 else FIRST for *_, gain in boxes],
             radii=rr.Radius.ui_points(0.8),
             show_labels=True,
         ),

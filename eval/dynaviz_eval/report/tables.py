@@ -418,7 +418,7 @@ def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
         Column("scoring", number=False),
     ]
     columns += [Column("frames"), *(Column(name.replace("_", " "), "points") for name in names)]
-    columns += [Column("labels", number=False), Column("recording", number=False)]
+    columns += [Column(name, number=False) for name in ("labels", "code", "recording")]
     rows = []
     for board, row in _pairs(single):
         assert row.run is not None
@@ -436,13 +436,19 @@ def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
                     for name in names
                 ),
                 Value((row.result.labels_sha256 or NONE)[:8], row.result.labels_sha256),
+                Value(_code(row) or NONE, _code(row)),
                 Value(path or "none", path, link=path),
             ]
         )
     notes = [
         "Labels: the first digits of the digest of all labels; runs with equal digests have equal "
-        "labels."
+        "labels. Code: the same of the code of the method."
     ]
+    codes: dict[str, set[str]] = {}
+    for _, row in _pairs(single):
+        codes.setdefault(row.result.method, set()).add(_code(row))
+    if changed := [method for method, found in codes.items() if len(found - {""}) > 1]:
+        notes.append(f"The code differs between the runs of {', '.join(changed)}.")
     if study.protocols:
         notes.append(
             "board.json next to this page has all digests in full, all counts, and the parameters."
@@ -452,6 +458,12 @@ def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
             "To view a recording: dynaviz view PATH. To compare two: dynaviz compare PATH PATH."
         )
     return Table("runs", "All runs", columns, rows, notes)
+
+
+def _code(row: ScoreRow) -> str:
+    """The first digits of the digest of the method's code; empty if unknown."""
+    plugin = row.result.plugin
+    return "" if plugin is None else plugin.sha256[:8]
 
 
 def _pairs(single: Iterable[ScoreBoard]) -> Iterable[tuple[ScoreBoard, ScoreRow]]:
