@@ -54,6 +54,20 @@ class FrameHistograms:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CaseSample:
+    """Some points of each of several cases.
+
+    Attributes:
+        case: (K,) int64: its case, 0 for the first; frames: (K,) int64, positions in the run.
+        points: (K, 3) float32, metres, world frame.
+    """
+
+    case: I64
+    frames: I64
+    points: F32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FrameBoxes:
     """Cases located in the world, with a box in each of their frames.
 
@@ -64,6 +78,7 @@ class FrameBoxes:
         frames: (B,) int64, case: (B,) int64: a box's frame, and its case.
         box_low, box_high: (B, 3) float32, metres, world frame.
         points: (B,) int64, points of the case in the frame; None if unknown.
+        sample: some points of each case; None if unknown.
     """
 
     labels: tuple[str, ...]
@@ -75,6 +90,7 @@ class FrameBoxes:
     box_low: F32
     box_high: F32
     points: I64 | None = None
+    sample: CaseSample | None = None
 
 
 Figure = FrameHistograms | FrameBoxes

@@ -15,7 +15,6 @@ from dynaviz.explain.case_evidence import evidence_of, flip
 from dynaviz.explain.deciding import deciding_scans
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.words import rule_words
-from dynaviz.scores.failure_case import case_at
 from dynaviz.scores.result import Result
 
 if TYPE_CHECKING:
@@ -50,9 +49,10 @@ class Why:
     def sentence(self) -> str:
         """Truth, label and reason in a sentence."""
         found = self.ledger
-        return sentence(
-            found.truth, "removed" if found.removed else "kept", found.reason, self.cause
-        )
+        cause = self.cause
+        if cause is not None and found.case is not None:
+            cause = f"{cause} (case {found.case})"
+        return sentence(found.truth, "removed" if found.removed else "kept", found.reason, cause)
 
     @property
     def evidence(self) -> str:
@@ -107,17 +107,13 @@ def sentence(truth: str | None, answer: str, reason: Reason, cause: str | None) 
 
 
 def cause_at(result: Result, ledger: PointLedger) -> str | None:
-    """The cause of the failure case that contains a point.
+    """The cause of the failure case of a point.
 
-    None if no listed case does, or the label is right.
+    None if it is in no listed case, or the label is right.
     """
-    if not ledger.wrong:
+    if not ledger.wrong or ledger.case is None:
         return None
-    if ledger.case is not None:
-        return result.failures[ledger.case - 1].cause
-    kind = "false_positive" if ledger.removed else "false_negative"
-    case = case_at(result.failures, kind, ledger.frame, ledger.position)
-    return None if case is None else case.cause
+    return result.failures[ledger.case - 1].cause
 
 
 def _plain(value: Any) -> Any:

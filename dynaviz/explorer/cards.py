@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64, I64, U8, Bool
+from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
 from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.rays import evenly
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.reviews.regions import Corner
+from dynaviz.scores.case_points import inside
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.sections import RemovedCluster
 from dynaviz.views.cases import middle_of, title_of
@@ -75,32 +76,40 @@ def cards(run: ExploredRun) -> list[Card]:
     """The cases of a run: failures, costliest first, or without ground truth clusters, most
     suspicious first.
     """
-    cases: Sequence[FailureCase | RemovedCluster] = run.result.failures or run.result.clusters
-    by_x = np.argsort(run.wrong.xyz[:, 0], kind="stable")
-    x = run.wrong.xyz[by_x, 0].astype(np.float64)
-    return [_card(run, number, case, by_x, x) for number, case in enumerate(cases, 1)]
+    failures = run.result.failures
+    rows = _rows(run, failures) if failures else _rows_in(run, run.result.clusters)
+    cases: Sequence[FailureCase | RemovedCluster] = failures or run.result.clusters
+    return [_card(run, number, case, rows[number]) for number, case in enumerate(cases, 1)]
 
 
-def _card(
-    run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_x: I64, x: F64
-) -> Card:
-    """A card; ``x`` are the sorted coordinates of the run's wrong points, and
-    ``by_x`` their rows.
-    """
+def _rows(run: ExploredRun, failures: Sequence[FailureCase]) -> dict[int, Intp]:
+    """By number of the cases, their rows in the run's ``wrong``."""
+    wrong = run.wrong
+    found: dict[int, Intp] = {}
+    for kind in dict.fromkeys(case.kind for case in failures):
+        of_kind = np.flatnonzero(wrong.outcome == ERRORS[kind])
+        points = run.recording.case_points
+        owners = points.owners(kind, wrong.frame[of_kind], wrong.xyz[of_kind])
+        for number, case in enumerate(failures, 1):
+            if case.kind == kind:
+                found[number] = of_kind[owners == number]
+    return found
+
+
+def _rows_in(run: ExploredRun, clusters: Sequence[RemovedCluster]) -> dict[int, Intp]:
+    """As ``_rows``, for clusters, which may share points."""
+    wrong = run.wrong
+    removed = np.flatnonzero(wrong.outcome == Outcome.UNLABELLED_REMOVED)
+    rows = inside(dict(enumerate(clusters, 1)), wrong.frame[removed], wrong.xyz[removed])
+    return {number: removed[of] for number, of in rows.items()}
+
+
+def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, rows: Intp) -> Card:
+    """A card, given its rows in the run's ``wrong``."""
     outcome = ERRORS[case.kind] if isinstance(case, FailureCase) else Outcome.UNLABELLED_REMOVED
     wrong = run.wrong
     low = np.array(case.low)
     high = np.array(case.high)
-    rows = by_x[np.searchsorted(x, low[0] - MARGIN) : np.searchsorted(x, high[0] + MARGIN, "right")]
-    for values, first, last in (
-        (wrong.outcome, outcome, outcome),
-        (wrong.frame, case.first_frame, case.last_frame),
-        (wrong.xyz[:, 1], low[1] - MARGIN, high[1] + MARGIN),
-        (wrong.xyz[:, 2], low[2] - MARGIN, high[2] + MARGIN),
-    ):
-        of = values[rows]
-        rows = rows[(of >= first) & (of <= last)]
-    rows = np.sort(rows)
     worst = rows[wrong.frame[rows] == case.worst_frame]
     if not len(worst):
         return Card(number, case, outcome, rows, low, high, None)

@@ -15,7 +15,7 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts import registry
-from dynaviz.contracts.scan import TRUTH, Outcome
+from dynaviz.contracts.scan import ERRORS, TRUTH, ErrorKind, Outcome
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explain.dial import Dial
 from dynaviz.explain.document import sentence
@@ -23,7 +23,6 @@ from dynaviz.explain.judging import Parameter
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.frame_answers import FrameAnswers
-from dynaviz.scores.failure_case import case_at
 from dynaviz.scores.result import Result
 from dynaviz.views import paths
 from dynaviz.views.cases import WRONG
@@ -216,16 +215,11 @@ class ExploredRun:
         removed = bool(answers.dynamic[point])
         outcome = Outcome(answers.outcome[point])
         position = self._position(frame, point)
-        case = None
-        if position is not None and outcome in (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE):
-            known = self._near(frame, point, position, removed, reason.name)
-            if known is not None and known[0].case is not None:
-                case = self.result.failures[known[0].case - 1]
-            else:
-                case = case_at(self.result.failures, outcome.name.lower(), frame, position)
-        cause, number = (
-            (None, 0) if case is None else (case.cause, self.result.failures.index(case) + 1)
-        )
+        number = 0
+        if position is not None and outcome in ERRORS.values():
+            kind: ErrorKind = "false_positive" if removed else "false_negative"
+            number = self.recording.case_points.owner(kind, frame, position) or 0
+        cause = self.result.failures[number - 1].cause if number else None
         corrected = (corrections or {}).get(number)
         if corrected is not None:
             right = removed == (corrected == "dynamic")

@@ -114,8 +114,13 @@ def explain(
     facts = opened.result.method, info.title, spec.sequence.name, opened.result.online
     return {
         frame: tuple(
-            Why(*facts, each, cause_at(opened.result, each), note)
-            for each in (stored.with_case(e) for e in found)
+            Why(
+                *facts,
+                each,
+                cause_at(opened.result, each),
+                f"{note} {stored.doubt(each)}".strip(),
+            )
+            for each in map(stored.with_case, found)
         )
         for frame, found in zip(points, repeated.ledgers, strict=True)
     }

@@ -7,17 +7,19 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from dynaviz.arrays import F32
-from dynaviz.contracts.scan import Label
+from dynaviz.contracts.scan import ErrorKind, Label
 from dynaviz.contracts.scan import Sequence as Scans
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explain.case_evidence import evidence_text
 from dynaviz.explain.document import Why, cause_at
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.runs.run import Run
+from dynaviz.scores.case_points import CasePoints
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.sections import RemovedCluster
 from dynaviz.views.cases import WRONG, middle_of, title_of
@@ -165,6 +167,8 @@ class Stored:
         result = self._run.result
         recording = self._recording
         assert recording is not None
+        ledger = self.with_case(ledger)
+        notes = EARLIER if _is_earlier(ledger) else "", self.doubt(ledger)
         return Why(
             result.method,
             str(recording.properties["title"]),
@@ -172,7 +176,7 @@ class Stored:
             result.online,
             ledger,
             cause_at(result, ledger),
-            EARLIER if _is_earlier(ledger) else "",
+            " ".join(note for note in notes if note),
             "" if case is None else self.about(case, ledgers),
         )
 
@@ -187,14 +191,32 @@ class Stored:
         )
 
     def with_case(self, ledger: PointLedger) -> PointLedger:
-        """The ledger with the number of the case, if the recording stores it.
-
-        The boxes of cases overlap.
-        """
+        """The ledger of a wrong point with the number of its case, if that is listed."""
+        if not ledger.wrong or ledger.case is not None:
+            return ledger
         for case, ledgers in self._of_frame(ledger.frame):
             if any(each.point == ledger.point for each in ledgers):
                 return dataclasses.replace(ledger, case=case)
-        return ledger
+        owner = self._points.owner(kind_of(ledger), ledger.frame, ledger.position)
+        return dataclasses.replace(ledger, case=owner)
+
+    def doubt(self, ledger: PointLedger) -> str:
+        """That the case of a point is not certain, in a sentence; empty if it is."""
+        if not ledger.wrong or self._points.sample is not None:
+            return ""
+        cases = self._points.around(kind_of(ledger), ledger.frame, ledger.position)
+        if cases < 2:
+            return ""
+        return (
+            f"It may be of another case: it lies in the boxes of {cases} cases, and no recording "
+            "of this run stores the points of cases."
+        )
+
+    @cached_property
+    def _points(self) -> CasePoints:
+        if self._recording is None:
+            return CasePoints(self._run.result.failures)
+        return self._recording.case_points
 
     def _case(self, number: int) -> Found:
         if not 1 <= number <= len(self.cases):
@@ -239,6 +261,11 @@ class Stored:
         for number, case in enumerate(self.cases, 1):
             if case.worst_frame == frame:
                 yield number, self.ledgers(number)
+
+
+def kind_of(ledger: PointLedger) -> ErrorKind:
+    """The kind of error of a wrong point."""
+    return "false_positive" if ledger.removed else "false_negative"
 
 
 def _nearest(points: F32, place: tuple[float, float, float]) -> tuple[int, float]:

@@ -1,8 +1,8 @@
-"""A failure case of a result, and the case of a point."""
+"""A failure case of a result."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from msgspec import Struct, field
 
@@ -85,24 +85,3 @@ class FailureCase(JoinedPoints, frozen=True, kw_only=True):
     def metric(self) -> str:
         """The score that it costs: DA for points wrongly kept, SA for points wrongly removed."""
         return "DA" if self.kind == "false_negative" else "SA"
-
-
-def case_at(
-    cases: Sequence[FailureCase], kind: str, frame: int, place: Sequence[float]
-) -> FailureCase | None:
-    """The costliest case of a kind whose frames and box contain a wrong point.
-
-    None if no listed case does.
-
-    Args:
-        cases: costliest first.
-        kind: ``false_negative`` or ``false_positive``.
-        frame: position in the run.
-        place: (3,) metres, world frame.
-    """
-    for case in cases:
-        if case.kind == kind and case.first_frame <= frame <= case.last_frame:
-            sides = zip(case.low, place, case.high, strict=True)
-            if all(low - ROUNDED <= at <= high + ROUNDED for low, at, high in sides):
-                return case
-    return None

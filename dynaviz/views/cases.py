@@ -87,15 +87,14 @@ def suspicious(result: Result) -> list[RemovedCluster]:
     return list(removals.clusters[:LISTED]) if removals else []
 
 
-def belong(failure: FailureCase | None, scan: Scan, rows: I64) -> Bool:
+def belong(failure: FailureCase, scan: Scan, rows: I64) -> Bool:
     """(K,) bool: which points of a scan are of the class and object of a case, as far as these are
     known.
     """
     of_case = np.ones(len(rows), np.bool_)
     for number, numbers in (
-        ()
-        if failure is None
-        else ((failure.class_, scan.classes), (failure.instance, scan.instances))
+        (failure.class_, scan.classes),
+        (failure.instance, scan.instances),
     ):
         if number is not None and numbers is not None:
             of_case &= numbers[rows] == number

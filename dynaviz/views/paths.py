@@ -47,6 +47,7 @@ CASE_AROUND = "world/case/around"  # a circle around it, which the eye tracks
 CASE_AIM = "world/case/aim"  # a line from the sensor to it
 CASE_RAYS = "world/case/rays"  # rays of all scans that hit or crossed it
 RAY_CLASSES = "world/case"  # the legend of these
+CASE_POINTS = "case/points"  # static: some points of each case; not displayed
 CASE_LEDGERS = "case/ledgers"  # ledgers of its points, packed; not displayed
 # below it for each of the first cases and lane (``dynaviz.scores.spans``) a ``StateChange``
 OBJECTS = "objects"

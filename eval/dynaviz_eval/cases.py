@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
-from dynaviz.contracts.metric import FrameBoxes
+from dynaviz.contracts.metric import CaseSample, FrameBoxes
 from dynaviz.contracts.scan import Outcome
 from dynaviz.scores.failure_case import FailureCase, JoinedPoints, RangeSpan
 from dynaviz.scores.sections import RemovedCluster
@@ -80,7 +80,7 @@ class Cases:
         keep: number of cases that are kept when they are over, largest first.
         sampled: number of points of each case that are kept, in ``sample``, of which ``group`` is
             the case.
-        objects: whether the points of a group with an object's number are one case.
+        objects: whether the points of a group with an object's number are one case, which is kept.
     """
 
     def __init__(
@@ -223,6 +223,8 @@ class Cases:
         largest = np.zeros(len(old), np.bool_)
         largest[np.argsort(-points, kind="stable")[: self._keep]] = True
         keep = ~done | largest
+        if self._objects:  # or what an object has in later frames would be a case of its own
+            keep[which[(rows["group"] & NUMBER) != 0]] = True
         self._dropped(summed(rows[~keep[which]]))
         self.rows = rows[keep[which]]
         new = np.cumsum(keep) - 1
@@ -405,12 +407,14 @@ def facts(case: np.void, names: Sequence[str], grounded: bool) -> JoinedPoints:
 def boxes(
     listed: Sequence[tuple[FailureCase | RemovedCluster, NDArray[np.void]]],
     outcomes: Sequence[Outcome],
+    sample: CaseSample | None = None,
 ) -> FrameBoxes:
     """A box around each listed case, overall and in each of its frames.
 
     Args:
         listed: cases, at least one, each with its rows.
         outcomes: of the points of each case.
+        sample: some of their points.
     """
     cases = [case for case, _ in listed]
     rows = np.concatenate([rows for _, rows in listed])
@@ -428,4 +432,5 @@ def boxes(
         rows["low"],
         rows["high"],
         rows["points"].astype(np.int64),
+        sample,
     )

@@ -15,7 +15,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, Bool, Intp
 from dynaviz.contracts.looks import AskedPlaces, CountedLooks, Look
 from dynaviz.contracts.method import MethodInfo, Reason
-from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.metric import CaseSample, Figure, Labelled
 from dynaviz.contracts.scan import ERRORS, ErrorKind, Label, Outcome, Scan
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.looks import Ceiling
@@ -64,7 +64,13 @@ class FailuresMetric:
         self._reasons = info.reasons
         spans: dict[ErrorKind, float] = {"false_negative": np.inf, "false_positive": SPAN}
         self._cases = {
-            kind: Cases(len(info.reasons) + 1, span, partial(self._drop, kind), sampled=LOOKED_AT)
+            kind: Cases(
+                len(info.reasons) + 1,
+                span,
+                partial(self._drop, kind),
+                sampled=LOOKED_AT,
+                objects=kind == "false_negative",
+            )
             for kind, span in spans.items()
         }
         self._unlisted = dict.fromkeys(spans, CaseTotals())
@@ -236,7 +242,15 @@ class FailuresMetric:
         """A box around each case, overall and in each of its frames."""
         if not self._listed:
             return {}
-        return {"failures": boxes(self._listed, [ERRORS[case.kind] for case, _ in self._listed])}
+        outcomes = [ERRORS[case.kind] for case, _ in self._listed]
+        samples = [found.sample for found in self._found]
+        joined = np.concatenate(samples)
+        sample = CaseSample(
+            np.repeat(np.arange(len(samples)), [len(each) for each in samples]),
+            joined["frame"].astype(np.int64),
+            joined["xyz"],
+        )
+        return {"failures": boxes(self._listed, outcomes, sample)}
 
     def _drop(self, kind: ErrorKind, over: NDArray[np.void]) -> None:
         """Count cases that are over and not listed."""

@@ -27,9 +27,10 @@ from dynaviz.contracts.scan import Outcome, outcomes
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.explain.dial import PointSample, unpack
 from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.scores.case_points import CasePoints
 from dynaviz.scores.comparison.frame_answers import ARCHETYPE, FrameAnswers
 from dynaviz.scores.result import Result
-from dynaviz.views import classes, paths, stored_ledgers
+from dynaviz.views import classes, paths, stored_ledgers, stored_points
 from dynaviz.views.drawn import as_columns
 from dynaviz.views.read import chunks
 from dynaviz.views.record.sink import part_of
@@ -361,6 +362,18 @@ class RunRecording(AnyRecording):
         packed = self.static(paths.SAMPLE).get(SAMPLE)
         with self.decoding():
             return None if packed is None else unpack(packed)
+
+    @functools.cached_property
+    def case_points(self) -> CasePoints:
+        """The failure cases, and points of each; without points in earlier recordings.
+
+        Raises:
+            DataError: for damaged content.
+        """
+        stored = self.static(paths.CASE_POINTS)
+        result = self.result
+        with self.decoding():
+            return CasePoints([] if result is None else result.failures, stored_points.read(stored))
 
     @functools.cached_property
     def _packed(self) -> dict[int, U8]:

@@ -48,7 +48,7 @@ OPACITY = 150  # of rays, of 255: the object behind them remains visible
 HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
 
 Repeat = Callable[[Sequence[tuple[int, Sequence[int]]]], list[tuple[PointLedger, ...]]]
-Members = Callable[[ShownCase, I64], Bool]
+Members = Callable[[ShownCase, I64, F64], Bool]
 
 
 class CaseTimeline:
@@ -110,7 +110,7 @@ class CaseTimeline:
 
         Args:
             repeat: repeats the run.
-            members: tells which rows of the recorded points belong to a case.
+            members: tells which of the recorded points belong to a case, by their rows and places.
             sensor: (frames, 3) metres, world frame: its positions.
             boxes: of the cases, by frame.
 
@@ -350,7 +350,7 @@ def points_of(case: ShownCase, scan: drawn.Row | None, members: Members) -> list
         if "dynaviz.Scan:point" in scan
         else np.arange(len(xyz))
     )
-    of_case = members(case, rows[mine])
+    of_case = members(case, rows[mine], xyz[mine])
     mine = mine[of_case] if of_case.any() else mine  # other points may stand for its own
     middle = mine[middle_of(xyz[mine])]
     _, first = np.unique(np.floor(xyz[mine] / APART), axis=0, return_index=True)

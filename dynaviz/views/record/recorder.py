@@ -29,10 +29,11 @@ from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.repeat import repeat
 from dynaviz.explain.sample import Draw, Drawn, Witnesses, enters
 from dynaviz.io.atomic import sha256
+from dynaviz.scores.case_points import CasePoints
 from dynaviz.scores.comparison import frame_answers
 from dynaviz.scores.result import Result, environment
 from dynaviz.sources.summary import SequenceSummary
-from dynaviz.views import cases, classes, keys, paths, viewer
+from dynaviz.views import cases, classes, keys, paths, stored_points, viewer
 from dynaviz.views.background import Background
 from dynaviz.views.curves import WRONG_POINTS, Curves
 from dynaviz.views.layout import Findings, layout
@@ -301,7 +302,11 @@ class Recorder(Listener):
             timeline.write_texts()
             return Findings(truth, True, reasons=curves)
         repeat = partial(self._repeat, result.labels)
-        state, tracked = timeline.draw(repeat, self._members, np.array(self._positions), boxes)
+        if boxes.sample is not None:
+            sample = stored_points.component(boxes.sample)
+            self._open.log(paths.CASE_POINTS, sample, static=True)
+        members = partial(self._members, CasePoints(result.failures, boxes.sample))
+        state, tracked = timeline.draw(repeat, members, np.array(self._positions), boxes)
         if self._sample is not None:
             turns.write(self._open, self._sample)
         return Findings(truth, True, tracked, state, curves, self._sample is not None)
@@ -314,12 +319,16 @@ class Recorder(Listener):
         turned = parameters_of(judged.names, judged.sums, self._given, fits)
         return PointSample(drawn, judged, tuple(turned), self._given) if turned else None
 
-    def _members(self, case: cases.ShownCase, rows: I64) -> Bool:
-        """(K,) bool: which rows of the recorded points in its worst frame belong to a case."""
+    def _members(self, every: CasePoints, case: cases.ShownCase, rows: I64, places: F64) -> Bool:
+        """(K,) bool: which of the recorded points in its worst frame belong to a case."""
+        if case.failure is None:
+            return np.ones(len(rows), np.bool_)
         scan = self._run.sequence[case.frame]
-        return cases.belong(
-            case.failure, scan, rows if self._rows is None else self._rows(scan)[rows]
-        )
+        frames = np.full(len(rows), case.frame)
+        owners = every.owners(case.failure.kind, frames, places)
+        rows = rows if self._rows is None else self._rows(scan)[rows]
+        of_case: Bool = cases.belong(case.failure, scan, rows) & (owners == case.number)
+        return of_case
 
     def _repeat(
         self, labels: Sequence[Bool], asked: Sequence[tuple[int, Sequence[int]]]
