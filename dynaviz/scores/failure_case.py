@@ -63,6 +63,8 @@ class FailureCase(JoinedPoints, frozen=True, kw_only=True):
         grazed: share of its surface that its rays meet at a small angle in its worst frame, 0 to 1;
             None for kept points, and if too few lie on a surface.
         looks: what other scans saw at its points; None in earlier results.
+        near_cause: another cause whose threshold is so near that a part of the points on which
+            ``looks`` are taken gives it; None if there is none.
         spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier
             results.
     """
@@ -80,6 +82,7 @@ class FailureCase(JoinedPoints, frozen=True, kw_only=True):
     looks: CaseLooks | None = None
     word: str | None = None
     spans: Mapping[str, tuple[tuple[int, int], ...]] = {}
+    near_cause: str | None = None
 
     @property
     def metric(self) -> str:

@@ -129,6 +129,8 @@ def measured(case: FailureCase) -> str:
     if looks is None or case.cause is None:
         return ""
     cause = case.cause
+    if case.near_cause is not None:
+        cause += f" (near the threshold of: {case.near_cause})"
     hits = f"hit by {looks.hits:g} other scan{'s' * (looks.hits != 1)}"
     near = ""
     if case.kind == "false_positive" and looks.mover is not None:

@@ -6,6 +6,7 @@ methods, and a method needs to declare nothing.
 
 from __future__ import annotations
 
+from collections import Counter
 from enum import StrEnum
 
 import numpy as np
@@ -19,6 +20,8 @@ MOST = 0.5  # of the points or looks
 ENOUGH = 0.25  # of the points on a surface, to speak of the angles of all
 STOOD = 4  # times as many hits as passes: what was passed now and then still stood there
 FEW = 1  # other scans that hit a place in the median: it was seen in one or two scans
+HALVES = 16  # of the sampled points of a case
+RARE = 8  # a cause that less than one in so many halves gives is not near
 IN_CELL = 0.5  # metres: a mover in the cell of a point, or in the next
 NEAR = 3.0  # metres: a mover in the bin or the cluster of a point
 
@@ -108,6 +111,32 @@ def cause_of(kind: str, looks: CaseLooks | None, word: Word | None = None) -> Me
     if looks is None:
         return MeasuredCause.UNKNOWN
     return _removed(looks) if kind == "false_positive" else _kept(looks, word)
+
+
+def near_cause(
+    kind: str, seen: CountedLooks, rows: Intp, cause: MeasuredCause, word: Word | None = None
+) -> MeasuredCause | None:
+    """The other cause that halves of the sampled points of a case give most often.
+
+    None if less than one in ``RARE`` gives another. A half differs from the sample as much as the
+    sample from all points.
+
+    Args:
+        kind, word: as for ``cause_of``.
+        seen: the looks at sampled points; rows: (K,) those of the case.
+        cause: that all of them give.
+    """
+    rng = np.random.default_rng(0)
+    half = len(rows) // 2
+    found: Counter[MeasuredCause] = Counter()
+    for _ in range(HALVES):
+        looks = looks_of(seen, rng.permutation(rows)[:half])
+        found[cause_of(kind, looks, word)] += 1
+    del found[cause]
+    if not found:
+        return None
+    other, times = found.most_common(1)[0]
+    return other if times * RARE >= HALVES else None
 
 
 def _kept(looks: CaseLooks, word: Word | None) -> MeasuredCause:

@@ -27,7 +27,7 @@ from dynaviz.spatial.surface import angles, surface_normals
 from dynaviz_eval.attribution import grazed_share, sentence, shape
 from dynaviz_eval.behaviour import Objects, behaviour_of_place, groups_of, hits_of
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts, gathered, summed
-from dynaviz_eval.causes import cause_of, looks_of
+from dynaviz_eval.causes import cause_of, looks_of, near_cause
 from dynaviz_eval.ceiling import Evident, asked_places
 from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
 from dynaviz_eval.samples import POINT, smallest
@@ -279,12 +279,17 @@ class FailuresMetric:
             spans = self._objects.spans(own)
         if self._seen is not None and number < len(self._seen.by_frame):
             spans = {**spans, **spans_of_looks(self._seen.by_frame[number])}
+        cause = cause_of(kind, looks, reason.cause)
+        near = None
+        if self._seen is not None and LOOKED_AT <= len(rows) < case["points"]:
+            near = near_cause(kind, self._seen, rows, cause, reason.cause)
         known = facts(case, names, self._grounded)
         described = FailureCase(
             **msgspec.structs.asdict(known),
             kind=kind,
             cost=found.cost,
-            cause=str(cause_of(kind, looks, reason.cause)),
+            cause=str(cause),
+            near_cause=None if near is None else str(near),
             word=None if reason.cause is None else str(reason.cause),
             reason=names[code],
             grazed=None if (grazed := grazed_share(case)) is None else round(grazed, 3),

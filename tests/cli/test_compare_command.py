@@ -39,7 +39,8 @@ def test_tables_a_recording_and_json(
     score = content["pairs"][0]["scores"]["AA"]
     assert f"{score['first']:.2f}" in shown
     assert f"{score['delta']:+.2f}" in shown
-    assert "contains no coordinates" in shown
+    assert "Static surfaces that change most" in shown
+    assert "contains no coordinates" in content["pairs"][0]["places_note"]
     assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["both.json", "both.rrd"]
     code, shown, _ = run_command("info", out)
     assert (code, "octomap resolution=0.6" in shown) == (0, True)

@@ -4,13 +4,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from dynaviz.contracts.looks import CountedLooks, Look
 from dynaviz.contracts.method import Cause as Word
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.looks import CaseLooks
 from dynaviz_eval.attribution import sentence, shape
 from dynaviz_eval.cases import Cases, summed
 from dynaviz_eval.causes import MeasuredCause as Why
-from dynaviz_eval.causes import cause_of
+from dynaviz_eval.causes import cause_of, looks_of, near_cause
 
 CASE = summed(np.empty(0, Cases(1, np.inf).kind)).dtype
 
@@ -149,3 +150,32 @@ def test_sentences_state_what_the_object_did_and_what_the_method_did():
         f"{where}, always in view. Rays crossed"
     )
     assert sentence_of(**removed, behaviour=None).startswith(f"{where}. Rays crossed")
+
+
+def seen(through: int) -> CountedLooks:
+    """128 places that two other scans hit, of which some were also seen through twice."""
+    counts = np.zeros((128, len(Look)), np.int32)
+    counts[:, Look.HIT] = 2
+    counts[:through, Look.THROUGH] = 2
+    zero = np.zeros(128, np.int32)
+    far = np.full(128, 9.0, np.float32)
+    frames = np.zeros((1, 1, len(Look)), np.int32)
+    known = np.zeros(128, np.bool_)
+    return CountedLooks(counts, zero, zero, zero, zero, zero, far, far, frames, known)
+
+
+@pytest.mark.parametrize(
+    ("through", "cause", "near"),
+    [
+        (10, Why.NO_RAY, None),
+        (58, Why.NO_RAY, Why.THIN),
+        (63, Why.NO_RAY, Why.THIN),
+        (64, Why.THIN, Why.NO_RAY),
+        (70, Why.THIN, Why.NO_RAY),
+        (118, Why.THIN, None),
+    ],
+)
+def test_a_cause_near_a_threshold_names_the_other(through, cause, near):
+    rows = np.arange(128)
+    assert cause_of("false_positive", looks_of(seen(through), rows)) == cause
+    assert near_cause("false_positive", seen(through), rows, cause) == near

@@ -274,7 +274,7 @@ def test_the_origin_is_in_the_recording_and_in_the_result(tmp_path: Path) -> Non
         assert origin.absolute == (str(tmp_path / "room"),)
         assert (origin.options.frames, origin.format, origin.sensor) == (
             "1:",
-            "BenchmarkSequence",
+            "benchmark",
             made.origin.sensor,
         )
     assert made.plugin is not None
