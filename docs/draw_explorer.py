@@ -24,7 +24,7 @@ SOFTWARE = [
 SIZE = {"width": 1440, "height": 810}  # pixels
 MOST = 300_000  # ms; drawing in software
 QUALITY = 80  # of WebP
-CASE = 4  # a truck that the drive leaves too early
+CASE = 3  # a truck that the drive leaves too early
 
 
 def draw(run: Path) -> None:
