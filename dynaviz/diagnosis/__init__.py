@@ -314,9 +314,10 @@ def _check_alignment(
     views = groups.views(pairs[::2] if quick and len(pairs) == GROUPS else pairs, progress)
     others = lambda: groups.views(groups.pairs(skipped=1), progress)  # noqa: E731
     near = lambda: groups.views(groups.pairs_apart(2), progress)  # noqa: E731
+    distant = lambda: _seen(groups, _quick_places(groups), progress)  # noqa: E731
     if not views and (apart := _not_compared(checker)):
         yield from apart
-    elif explained := better_interpretation(views, others):
+    elif explained := better_interpretation(views, others, distant):
         yield rivals.weighed(*explained, views, near, groups.few.pose_path)
     elif up := next(upright.check_up(views, checker.poses), None):
         yield rivals.weighed(None, up, views, near, None) if up.name in UPS else up

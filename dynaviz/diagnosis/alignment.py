@@ -10,7 +10,10 @@ height above the ground and faces forwards rather than backwards.
 An interpretation is better if it increases the overlap or, at the same overlap, reduces both the
 hidden points and those behind crossed surfaces, or moves with clouds that the given poses leave
 behind. It is compared only on pairs in which it moves the cloud or the sensor farther than errors
-of poses do, and it must be better on pairs from which it was not chosen as well.
+of poses do, and it must be better on pairs from which it was not chosen as well. Interpretations
+that fit alike are compared on scans that are farther apart, where small turns show. The first of
+those that still fit alike is chosen, because mistakes that programs make come first; the finding
+states the others.
 """
 
 from __future__ import annotations
@@ -22,7 +25,15 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.diagnosis.finding import Confidence, Finding
-from dynaviz.diagnosis.trajectory import FAULTS, MAX_TILT, facing, tilt_of
+from dynaviz.diagnosis.trajectory import (
+    FAULTS,
+    MAX_TILT,
+    ORDER,
+    W_FIRST,
+    W_LAST,
+    facing,
+    tilt_of,
+)
 from dynaviz.sources.hypotheses.views import Pose, ScanView, ground_below, hidden
 from dynaviz.spatial import geometry
 from dynaviz.spatial.sensor_height import FLAT
@@ -44,6 +55,7 @@ OTHER_PLACE = 1.0  # metres; by which it must move the sensor, if only the posit
 LAG = 2.0  # metres; way by which the middle of a cloud changes even if the sensor stays in it
 SAME_HEIGHT = 0.5  # metres; standard deviation of the height above the ground, at most
 MOST = 0.6  # share of pairs in which an interpretation must differ and be better
+ALIKE = 0.02  # difference in overlap of interpretations that fit alike
 
 
 @dataclass(frozen=True)
@@ -57,6 +69,7 @@ class Interpretation:
         move: T_world_given under this interpretation, from the given pose: moves the given points
             to the world frame.
         pose: T_world_sensor under this interpretation, from the given pose.
+        reading: what the numbers mean, in a few words; empty if the name says it.
     """
 
     name: str
@@ -64,6 +77,7 @@ class Interpretation:
     fix: str
     move: Pose
     pose: Pose
+    reading: str = ""
 
 
 SENSOR_FRAME = Interpretation(
@@ -75,14 +89,17 @@ SENSOR_FRAME = Interpretation(
 )
 
 
+WORLD_FRAME = Interpretation(
+    "points in world frame",
+    "points are already in the world frame, but were transformed again",
+    "Read them with files:PATH --points-in world",
+    geometry.inverse,
+    lambda T: T,
+)
+
+
 def _interpretations() -> tuple[Interpretation, ...]:
-    frames = (
-        SENSOR_FRAME,
-        Interpretation("points in world frame", "points are already in the world frame, but were "
-        "transformed again",
-                       "Read them with files:PATH --points-in "
-                       "world", geometry.inverse, lambda T: T),
-    )  # fmt: skip
+    frames = SENSOR_FRAME, WORLD_FRAME
     wrong_points = tuple(  # points in the sensor frame were transformed by a wrong pose
         Interpretation(
             f.name,
@@ -90,11 +107,13 @@ def _interpretations() -> tuple[Interpretation, ...]:
             f.fix,
             lambda T, f=f: f.correct(T) @ geometry.inverse(T),  # type: ignore[misc]
             f.correct,
+            f.reading,
         )
         for f in FAULTS
     )
     wrong_poses = tuple(
-        Interpretation(f.name, f.problem, f.fix, lambda T: np.eye(4), f.correct) for f in FAULTS
+        Interpretation(f.name, f.problem, f.fix, lambda T: np.eye(4), f.correct, f.reading)
+        for f in FAULTS
     )
     return frames + wrong_points + wrong_poses
 
@@ -208,18 +227,19 @@ def _key(number: int, array: F64) -> bytes:
 
 
 def better_interpretation(
-    views: Pairs, others: Callable[[], Pairs]
+    views: Pairs, others: Callable[[], Pairs], distant: Callable[[], Pairs]
 ) -> tuple[Interpretation, Finding] | None:
     """An interpretation that fits clouds and poses better than the given one, and its finding.
 
     Args:
         views: pairs of scans among which the interpretation is chosen.
         others: reads further pairs, on which it is verified.
+        distant: reads pairs that are farther apart, for interpretations that fit alike.
     """
     if not views:
         return None
     found = Interpretations(views)
-    finding = _by_overlap(found) or _by_hidden_points(found) or _by_motion(found)
+    finding = _by_overlap(found, distant) or _by_hidden_points(found) or _by_motion(found)
     if finding is None:
         return None
     chosen, _ = finding
@@ -231,28 +251,58 @@ def better_interpretation(
     return None
 
 
-def _by_overlap(found: Interpretations) -> tuple[Interpretation, Finding] | None:
+def _by_overlap(
+    found: Interpretations, distant: Callable[[], Pairs]
+) -> tuple[Interpretation, Finding] | None:
     given = found.overlap(AS_GIVEN)
     better = [each for each in INTERPRETATIONS if _gain(found, each)[0] > GAIN]
     if not better:
         return None
     most = max(found.overlap(each).mean() for each in better)
-    near = [each for each in INTERPRETATIONS if found.overlap(each).mean() > most - 0.02]
+    near = [each for each in INTERPRETATIONS if found.overlap(each).mean() > most - ALIKE]
     hides = {each: found.hidden(each)[0].mean() for each in near}
     near = [
         each
         for each in near
         if hides[each] <= LESS_HIDDEN[0] * min(hides.values()) + LESS_HIDDEN[1]
     ]
-    best = min(near, key=lambda each: _lies(found, each))  # the first of those that are upright
+    least = min(_lies(found, each) for each in near)
+    alike = _at_a_distance([each for each in near if _lies(found, each) == least], distant)
+    best = alike[0]
     gain, far = _gain(found, best)
     now = given[far]
     then = found.overlap(best)[far]
     if (share := float((then > now + 0.02).mean())) < MOST:
         return None
-    confidence = Confidence.CERTAIN if gain > CLEAR_GAIN and share > 0.8 else Confidence.LIKELY
+    clear = gain > CLEAR_GAIN and share > 0.8 and (usual(best) or not alike[1:])
+    confidence = Confidence.CERTAIN if clear else Confidence.LIKELY
     figures = f"{then.mean():.0%} of a scan then overlaps the other, instead of {now.mean():.0%}"
-    return best, Finding(best.name, confidence, f"{best.problem}: {figures}", best.fix)
+    problem = f"{best.problem}: {figures}{_as_well(best, alike)}"
+    return best, Finding(best.name, confidence, problem, best.fix)
+
+
+def _at_a_distance(
+    near: list[Interpretation], distant: Callable[[], Pairs]
+) -> list[Interpretation]:
+    """Those that fit best at a distance, of interpretations that fit alike nearby."""
+    if len(near) == 1 or not (views := distant()):
+        return near
+    found = Interpretations(views)
+    fits = {each: found.overlap(each).mean() for each in near}
+    most = max(fits.values())
+    return [each for each in near if fits[each] > most - ALIKE]
+
+
+def _as_well(best: Interpretation, alike: Sequence[Interpretation]) -> str:
+    """The interpretations that fit as the best one does, in words that follow a sentence."""
+    words = dict.fromkeys(f"{each.name} {each.reading}".strip() for each in (best, *alike))
+    others = [*words][1:]
+    return f"; the same with {' or '.join(others)}" if others else ""
+
+
+def usual(each: Interpretation) -> bool:
+    """Whether programs are known to make the mistake: not any order of four components."""
+    return each.name != ORDER or each.problem in (W_FIRST.problem, W_LAST.problem)
 
 
 def _gain(found: Interpretations, each: Interpretation) -> tuple[float, Bool]:

@@ -4,6 +4,10 @@ A mount of the lidar on the vehicle and a constant delay of the poses are estima
 and compete with the known mistakes and with drift. An explanation is good if registration hardly
 moves scans that were placed by it, and if the ground is then below the sensor. If none is good,
 nobody can tell what is wrong: the finding then states the measures.
+
+If a mount and an unusual order of quaternions explain the scans alike, the simpler one is chosen:
+the order has no value that is fitted to the scans, so a mount must turn the lidar about one axis
+only, besides quarter turns. The finding states the other one, too.
 """
 
 from __future__ import annotations
@@ -15,13 +19,12 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
-from dynaviz.diagnosis.alignment import AS_GIVEN, GAIN, Interpretation, Pairs
+from dynaviz.diagnosis.alignment import AS_GIVEN, GAIN, Interpretation, Pairs, usual
 from dynaviz.diagnosis.drift import Drift
 from dynaviz.diagnosis.finding import Confidence, Finding
-from dynaviz.diagnosis.trajectory import W_FIRST, W_LAST
 from dynaviz.sources.hypotheses.delays import estimate_delay, overlap_with
 from dynaviz.sources.hypotheses.judge import ground_sides
-from dynaviz.sources.hypotheses.mounts import as_option, estimate_mount
+from dynaviz.sources.hypotheses.mounts import as_option, estimate_mount, quarter_turns
 from dynaviz.sources.hypotheses.registration import register
 from dynaviz.sources.hypotheses.views import ScanView, angle
 from dynaviz.spatial import geometry
@@ -41,6 +44,8 @@ EXACT = 0.15  # metres by which registration may then still move a scan
 EXPLAINED = 0.6  # share of what registration gains
 OVERLAPS = 0.35  # of a good explanation
 UNSTEADY = 0.7  # change of the step from scan to scan, as a share of it
+BETTER = 0.03  # metres by which registration must move a scan less, of a clearly better one
+STRAIGHT = 3.0  # degrees about an axis, less than which is no turn
 REACH = 5.0  # metres from a sensor to what it sees
 POINTS = 4000  # of a scan that are registered
 
@@ -115,16 +120,16 @@ def weighed(
         views: pairs of scans that were compared; others: reads pairs that are closer together.
         path: the poses over time; None if they have no times.
     """
-    found = quality(views, each) if each is not None else None
-    if found is not None and found.good and not _rare(finding):
+    if each is None:
+        return mount_finding(views, others) or finding
+    found = quality(views, each)
+    if found.good and usual(each):
         return finding
     rival = (path and delay_finding(views, others(), path)) or mount_finding(
-        views, others, rival=found
+        views, others, rival=(each, found)
     )
-    if rival is not None and (found is None or not found.good or _rare(finding)):
-        return rival
-    if found is None or each is None or found.good:
-        return finding
+    if rival is not None or found.good:
+        return rival or finding
     if found.beside >= 0.5 and found.overlap >= OVERLAPS:
         return finding
     problem = f"as given, {quality(views)}; nobody can tell why. Best fit: {each.name}, but {found}"
@@ -136,18 +141,11 @@ def _far(metres: float, degrees: float) -> float:
     return metres + float(np.radians(degrees)) * REACH
 
 
-def _rare(finding: Finding) -> bool:
-    """Whether a finding states a mistake that hardly occurs: any order of four components."""
-    return finding.name == "quaternion order" and not any(
-        each.problem in finding.problem for each in (W_FIRST, W_LAST)
-    )
-
-
 def mount_finding(
     views: Pairs,
     others: Callable[[], Pairs],
     drifts: bool = False,
-    rival: Quality | None = None,
+    rival: tuple[Interpretation, Quality] | None = None,
 ) -> Finding | None:
     """A finding if a mount of the lidar on the vehicle explains the scans.
 
@@ -157,7 +155,8 @@ def mount_finding(
         drifts: whether the alternative is a drift. If the vehicle hardly turns, a drift in a
             constant direction looks like a small mount, and is the likelier explanation. The
             mount is then estimated from the other pairs alone.
-        rival: of another explanation, which holds if it fits better.
+        rival: another explanation and how well it fits. It holds if it is good and fits better,
+            or alike and is simpler.
     """
     if drifts and _turns([*views]) < TURNS:
         return None
@@ -177,17 +176,33 @@ def mount_finding(
         enough = share >= MOST_EXPLAINED and then.moved <= EXACT
     if not (then.good and better and enough):
         return None
-    if rival and rival.good and rival.moved + 0.01 < then.moved:
-        return None
+    also = ""
+    if rival and rival[1].good:
+        lead = rival[1].moved - then.moved
+        if lead < -BETTER or (lead <= BETTER and not _about_one_axis(T)):
+            return None
+        if lead <= BETTER:
+            also = f"; the same with {rival[0].name} {rival[0].reading}"
     option = as_option(T)
     problem = (
         f"the poses are those of a vehicle on which the lidar is turned or shifted "
         f"(x,y,z,roll,pitch,yaw {option}): {then.overlap:.0%} of a scan then overlaps the other, "
-        f"instead of {given.overlap:.0%}"
+        f"instead of {given.overlap:.0%}{also}"
     )
     fix = f"Give the pose of the lidar on the vehicle: --extrinsic {option}"
     clear = then.overlap > given.overlap + 2 * GAIN
     return Finding(MOUNT, Confidence.CERTAIN if clear else Confidence.LIKELY, problem, fix)
+
+
+def _about_one_axis(T: F64) -> bool:
+    """Whether a mount turns the lidar about one axis at most, besides quarter turns."""
+    from scipy.spatial.transform import Rotation
+
+    left = [
+        np.degrees(np.abs(Rotation.from_matrix(turn.T @ T[:3, :3]).as_rotvec()))
+        for turn in quarter_turns()
+    ]
+    return min(int((each > STRAIGHT).sum()) for each in left) <= 1
 
 
 def _turns(views: Pairs) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.contracts.extent import FAR
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.diagnosis.alignment import SENSOR_FRAME
+from dynaviz.diagnosis.alignment import SENSOR_FRAME, WORLD_FRAME
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
 from dynaviz.sources.drive import Drive
 from dynaviz.spatial import geometry
@@ -176,6 +176,17 @@ def _around_zero(stats: ScanStatistics, origin: F64) -> bool:
     return bool(origin.any() and (low <= -origin).all() and (-origin <= high).all())
 
 
+def _around_position(stats: ScanStatistics, origin: F64) -> bool:
+    """Whether the points, before they were placed by the pose, are around the sensor's position.
+
+    They are then in the world already. The world's origin (3,) was moved there.
+    """
+    T = stats.scan.T_world_sensor
+    points = geometry.apply(geometry.inverse(T), stats.scan.points[stats.finite])
+    position = T[:3, 3] + origin
+    return bool((points.min(0) <= position).all() and (position <= points.max(0)).all())
+
+
 def _share(hits: Bool) -> float:
     return float(hits.mean()) if len(hits) else 0.0
 
@@ -282,6 +293,7 @@ class ScanChecker:
         self._label_counts: I64 = np.zeros(256, np.int64)
         self._outside = Occurrences()
         self._around_zero = 0
+        self._around_position = 0
         self._before: Scan | None = None
 
     def check(self, position: int, scan: Scan) -> None:
@@ -296,6 +308,7 @@ class ScanChecker:
         if (gap := outside(stats)) > 0:
             self._outside.add(scan.index, gap)
             self._around_zero += _around_zero(stats, self.sequence.origin)
+            self._around_position += _around_position(stats, self.sequence.origin)
         self.positions.append(position)
         self.indices.append(scan.index)
         self.stamps.append(scan.stamp_ns)
@@ -341,6 +354,14 @@ class ScanChecker:
                     Confidence.LIKELY,
                     f"{SENSOR_FRAME.problem}: {problem}, which is around zero",
                     SENSOR_FRAME.fix,
+                )
+                return
+            if 2 * self._around_position > self._outside.count:
+                yield Finding(
+                    WORLD_FRAME.name,
+                    Confidence.LIKELY,
+                    f"{WORLD_FRAME.problem}: {problem}, and the points in its file are around it",
+                    WORLD_FRAME.fix,
                 )
                 return
             fix = (

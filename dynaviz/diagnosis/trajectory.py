@@ -17,6 +17,7 @@ from dynaviz.spatial import geometry
 # Camera axes (x right, y down, z forward) in the lidar frame (x forward, y left, z up).
 T_LIDAR_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
+ORDER = "quaternion order"  # name of the finding
 MAX_TILT = 45.0  # degrees between the sensor's z axis and the world's
 
 
@@ -45,12 +46,14 @@ class PoseFault:
         problem: what is wrong with the poses, in words.
         fix: how to fix it, a sentence.
         correct: the correct pose T_world_sensor, given the faulty one.
+        reading: what the numbers are, in a few words; empty if the name says it.
     """
 
     name: str
     problem: str
     fix: str
     correct: Pose
+    reading: str = ""
 
 
 _INVERT = "Invert each pose, numpy.linalg.inv(T), to give the sensor's position in the world"
@@ -82,12 +85,13 @@ def _order(
     order: tuple[int, ...], problem: str = "the components of quaternions are in another order"
 ) -> PoseFault:
     """Quaternions of which the components w x y z were read at these positions of w x y z."""
-    held = ["q" + "wxyz"[order.index(k)] for k in range(4)]
+    held = ["q" + "wxyz"[order.index(k)] for k in (1, 2, 3, 0)]
+    reading = " ".join(held)
     fix = (
-        f"Swap the components: those read as qx qy qz qw hold {' '.join([*held[1:], held[0]])}. "
+        f"Swap the components: those read as qx qy qz qw hold {reading}. "
         "A TUM file has x y z qx qy qz qw, VIEWPOINT has tx ty tz qw qx qy qz"
     )
-    return PoseFault("quaternion order", problem, fix, lambda T: swapped(T, order))
+    return PoseFault(ORDER, problem, fix, lambda T: swapped(T, order), reading)
 
 
 W_LAST = _order((3, 0, 1, 2), "quaternions were written as x y z w, but read as w x y z")

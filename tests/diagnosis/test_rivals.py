@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.bags import START
 from helpers.pose_files import kitti, scans_to, tum
-from helpers.street import drive, pose
+from helpers.street import HEIGHT, RATE, drive, pose, sweep_at
 from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
@@ -120,6 +121,79 @@ def test_a_tum_file_may_have_w_first(tmp_path: Path, turned: float) -> None:
     for position in (0, 10, FRAMES - 1):
         found_pose = sequence[position].T_world_sensor
         np.testing.assert_allclose(found_pose[:3, :3], own[position][:3, :3], atol=1e-5)
+
+
+def reordered(T: np.ndarray, order: str) -> np.ndarray:
+    """The pose whose quaternion, written in this order, is read as x y z w."""
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
+    read = T.copy()
+    read[:3, :3] = Rotation.from_quat([quaternion["xyzw".index(c)] for c in order]).as_matrix()
+    return read
+
+
+def straight(seconds: float) -> np.ndarray:
+    """T_world_sensor: along the street without a turn, facing aside."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("z", 50.0, degrees=True).as_matrix()
+    T[:3, 3] = -8 + 5 * seconds, 0.5, HEIGHT
+    return T
+
+
+def straight_drive(folder: Path) -> list[np.ndarray]:
+    """The scans of a straight drive, and their poses."""
+    sweeps = [sweep_at(k / RATE, 16, 240, False, straight) for k in range(14)]
+    scans_to(folder / "scans", [str(t) for t in TIMES[:14]], sweeps)
+    return [sweep.T for sweep in sweeps]
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        order if order == "xzwy" else pytest.param(order, marks=pytest.mark.slow)
+        for order in map("".join, permutations("xyzw"))
+        if order not in ("xyzw", "yxzw")  # the second one hardly changes a sensor that stays level
+    ],
+)
+def test_small_turns_decide_between_orders_that_fit_alike(tmp_path: Path, order: str) -> None:
+    own = [sweep.T for sweep in drive(frames=FRAMES)]
+    kitti(written(tmp_path) / "poses.txt", [reordered(T, order) for T in own])
+    finding = found(tmp_path)
+    assert finding.name == "quaternion order"
+    named = re.search(r"hold (q[xyzw] q[xyzw] q[xyzw] q[xyzw])", finding.fix)
+    assert named is not None
+    assert named[1].replace("q", "").replace(" ", "") == order
+
+
+@pytest.mark.parametrize(
+    ("order", "other"),
+    [
+        ("zxyw", "qz qy qx qw"),
+        pytest.param("xzyw", "qy qz qx qw", marks=pytest.mark.slow),
+        pytest.param("wzyx", "qw qz qx qy", marks=pytest.mark.slow),
+    ],
+)
+def test_an_order_is_simpler_than_a_mount_about_all_axes(
+    tmp_path: Path, order: str, other: str
+) -> None:
+    """On a straight way a mount can explain each order of quaternions, but with fitted angles.
+
+    A sensor that stays level has x and y of zero, which change places unnoticed: both are stated.
+    """
+    kitti(tmp_path / "poses.txt", [reordered(T, order) for T in straight_drive(tmp_path)])
+    finding = found(tmp_path)
+    assert finding.name == "quaternion order"
+    words = f"{finding.problem} {finding.fix}"
+    assert " ".join(f"q{c}" for c in order) in words
+    assert other in words
+
+
+@pytest.mark.parametrize("yaw", [30.0, pytest.param(90.0, marks=pytest.mark.slow)])
+def test_a_mount_about_one_axis_is_named_on_a_straight_way(tmp_path: Path, yaw: float) -> None:
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("z", yaw, degrees=True).as_matrix()
+    own = straight_drive(tmp_path)
+    kitti(tmp_path / "poses.txt", [T @ geometry.inverse(turn) for T in own])
+    assert found(tmp_path).name == "lidar mount"
 
 
 def test_poses_in_ned_are_named(tmp_path: Path) -> None:

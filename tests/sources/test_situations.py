@@ -27,6 +27,7 @@ def test_what_programs_write_is_read_rightly(seed: int) -> None:
     "seed",
     [
         pytest.param(1040, id="points of the sensor, said to be in a world far away"),
+        pytest.param(1075, id="points that were placed already, in a world far away"),
         pytest.param(1057, id="millimetres, and quaternions with w first"),
         pytest.param(1292, id="points of the sensor, said to be in the world, with w first"),
     ],

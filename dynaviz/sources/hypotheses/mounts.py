@@ -58,7 +58,7 @@ def estimate_mount(pairs: Sequence[tuple[ScanView, ScanView]]) -> F64 | None:
     motions = [found for a, b in pairs if (found := _motion(a, b)) is not None]
     if len(motions) < FEWEST or not any(_moves(each) for each in motions):
         return None
-    starts = sorted(_turns(), key=lambda R: _error(R, motions))[:4]
+    starts = sorted(quarter_turns(), key=lambda R: _error(R, motions))[:4]
     fits = [_fit(R, motions, np.eye(3)) for R in starts]
     best = min(range(len(fits)), key=lambda k: fits[k].cost)
     start = starts[best]
@@ -139,7 +139,7 @@ def _usual() -> list[F64]:
     return [*turns, *(turn @ back for turn in turns)]
 
 
-def _turns() -> Iterator[F64]:
+def quarter_turns() -> Iterator[F64]:
     """All 24 rotations that turn axes into axes, the identity first."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
