@@ -16,8 +16,10 @@ import pytest
 from helpers.bags import START, BagWriter, columns
 from helpers.pose_files import kitti, quaternions, scans_to, tum
 from helpers.street import HEIGHT, Sweep, drive
+from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
+from dynaviz.diagnosis import quick_check
 from dynaviz.errors import DataError
 from dynaviz.io.poses import read_poses
 from dynaviz.scores.result import Result
@@ -322,3 +324,53 @@ def test_frames_that_were_not_chosen_are_not_outside_the_trajectory(tmp_path: Pa
         account = dv.clean(bag.path, tmp_path / "clean.pcd", frames="2:8", record="none").account
     assert account.points == sum(len(sweep.points) for sweep in sweeps[2:8])
     assert account.unposed_kept == 0
+
+
+def test_coordinates_in_float32_far_from_zero_are_named(tmp_path: Path) -> None:
+    """At 5,572,094 m, float32 has steps of half a metre."""
+    sweeps = drive()
+    (tmp_path / "scans").mkdir()
+    for k, sweep in enumerate(sweeps):
+        np.save(tmp_path / f"scans/{k:06d}.npy", (sweep.world + UTM).astype(np.float32))
+    world = np.eye(4)
+    world[:3, 3] = UTM
+    kitti(tmp_path / "poses.txt", [world @ sweep.T for sweep in sweeps])
+    (finding,) = quick_check(dv.open(tmp_path, points_in="world"))
+    assert finding.name == "coarse coordinates"
+    assert "steps of 0.5 m in y" in finding.problem
+    assert "subtract an offset" in finding.fix
+
+
+@pytest.mark.parametrize("shuffled", [False, True], ids=["in order", "shuffled"])
+def test_five_columns_under_the_name_of_nuscenes(tmp_path: Path, shuffled: bool) -> None:
+    sweeps = drive()
+    (tmp_path / "scans").mkdir()
+    for k, sweep in enumerate(sweeps):
+        rows = np.zeros((len(sweep.points), 5), "<f4")
+        rows[:, :3] = sweep.points
+        rows[:, 3] = np.random.default_rng(k).integers(0, 256, len(rows))
+        elevation = np.arcsin(sweep.points[:, 2] / np.linalg.norm(sweep.points, axis=1))
+        rows[:, 4] = np.round((np.degrees(elevation) + 22) / 34 * 15)
+        order = np.random.default_rng(k).permutation(len(rows)) if shuffled else slice(None)
+        rows[order].tofile(tmp_path / f"scans/scan_{k:06d}.pcd.bin")
+    kitti(tmp_path / "poses.txt", [sweep.T for sweep in sweeps])
+    sequence = dv.open(tmp_path)
+    assert facts(sequence)["columns"] == "x y z intensity ring"
+    for position, sweep in enumerate(sweeps):
+        found = sequence[position].points.astype(np.float64)
+        assert np.abs(np.sort(found, axis=0) - np.sort(sweep.world, axis=0)).max() < 1e-3
+
+
+def test_poses_of_boreas(tmp_path: Path) -> None:
+    """Its angles turn the world to the lidar, about x, then y, then z."""
+    sweeps = drive()
+    times = [START // 1000 + k * 100_000 for k in range(len(sweeps))]
+    scans_to(tmp_path / "lidar", [str(t) for t in times], sweeps, suffix=".bin")
+    lines = ["GPSTime,easting,northing,altitude,roll,pitch,heading"]
+    for t, sweep in zip(times, sweeps, strict=True):
+        angles = Rotation.from_matrix(sweep.T[:3, :3].T).as_euler("xyz")
+        lines.append(f"{t}," + ",".join(f"{x:.9f}" for x in (*sweep.T[:3, 3], *angles)))
+    (tmp_path / "applanix").mkdir()
+    poses = tmp_path / "applanix/lidar_poses.csv"
+    poses.write_text("\n".join(lines) + "\n")
+    assert_right(dv.open(tmp_path / "lidar", poses=str(poses)), sweeps)
