@@ -182,6 +182,38 @@ def rko_lio(scans: list[Scan]) -> None:
         (folder / f"deskewed_scans/{START + k * 10**8}.ply").write_bytes(content)
 
 
+def hdmapping(scans: list[Scan]) -> None:
+    """Parts of four scans, each in the frame of its first pose, with times in nanoseconds."""
+    laspy = pytest.importorskip("laspy")
+    Path("session").mkdir()
+    parts = [scans[k : k + 4] for k in range(0, len(scans), 4)]
+    registered = [f"{len(parts)}"]
+    for number, part in enumerate(parts):
+        first = part[0].T_world_sensor
+        header = laspy.LasHeader(point_format=1, version="1.2")
+        header.scales = [1e-4] * 3
+        las = laspy.LasData(header)
+        points = np.concatenate([scan.points for scan in part]).astype(np.float64)
+        las.x, las.y, las.z = geometry.apply(geometry.inverse(first), points).T
+        starts = [START + (4 * number + k) * 10**8 for k in range(len(part))]
+        las.gps_time = np.concatenate(
+            [t + np.linspace(0, 0.99e8, len(scan)) for t, scan in zip(starts, part, strict=True)]
+        )
+        las.write(f"session/scan_lio_{number}.laz")
+        titles = [f"pose{row}{column}" for row in range(3) for column in range(4)]
+        rows = [" ".join(["timestamp_nanoseconds", *titles, "timestampUnix_nanoseconds"])]
+        for k, scan in enumerate(part):
+            local = geometry.inverse(first) @ scan.T_world_sensor
+            moments = (starts[k], starts[k] + 99_000_000)  # the hall is measured from one place
+            for t in moments:
+                numbers = " ".join(f"{x:.12f}" for x in local[:3].ravel())
+                rows.append(f"{t:.20g} {numbers} {t:.20g}")
+        Path(f"session/trajectory_lio_{number}.csv").write_text("\n".join(rows) + "\n")
+        registered.append(f"/data/session/scan_lio_{number}.laz")
+        registered += [" ".join(f"{x:.9g}" for x in row) for row in first]
+    Path("session/poses.reg").write_text("\n".join(registered) + "\n")
+
+
 def lidar_slam_ros2(scans: list[Scan]) -> None:
     with BagWriter(Path("slam"), "sqlite3") as writer:
         for k, scan in enumerate(scans):
@@ -291,6 +323,7 @@ WRITERS: dict[str, Callable[[list[Scan]], None]] = {
     "LIO-SAM, SC-LIO-SAM and SC-A-LOAM": lio_sam,
     "HBA": hba,
     "RKO-LIO": rko_lio,
+    "HDMapping and MANDEYE": hdmapping,
     "lidar_slam_ros2": lidar_slam_ros2,
     "hdl_graph_slam and interactive_slam": hdl_graph_slam,
     "KITTI-360": kitti_360,
@@ -322,12 +355,13 @@ def test_recipe(
     monkeypatch.chdir(tmp_path)
     scans = world()
     WRITERS[recipe](scans)
-    lines = SECTIONS[recipe].splitlines()
+    blocks = re.findall(r"^```(\w+)\n(.*?)^```", SECTIONS[recipe], re.M | re.S)
+    for code in (text for language, text in blocks if language == "python"):
+        exec(code, {})
+    lines = [line for language, text in blocks if language == "sh" for line in text.splitlines()]
     for line in lines:  # what collects the files
         if line.startswith(("mkdir ", "for ")):
             subprocess.run(["bash", "-c", line], check=True)
-    for code in re.findall(r"^```python\n(.*?)^```", SECTIONS[recipe], re.M | re.S):
-        exec(code, {})
     commands = [line for line in lines if line.startswith("dynaviz clean ")]
     assert commands
     moving = sum(int((scan.labels == Label.DYNAMIC).sum()) for scan in scans)
