@@ -35,9 +35,11 @@ BRIGHT: dict[Outcome, Colour] = {
     Outcome.DYNAMIC_REMOVED: (86, 170, 240),
     Outcome.FALSE_POSITIVE: (255, 240, 130),
     Outcome.FALSE_NEGATIVE: (255, 125, 0),
-    Outcome.UNLABELLED_KEPT: (92, 92, 100),
+    Outcome.UNLABELLED_KEPT: (58, 58, 66),
     Outcome.UNLABELLED_REMOVED: (255, 175, 210),
 }
+# of runs without ground truth, in which no point is labelled
+UNSCORED: dict[Outcome, Colour] = {**BRIGHT, Outcome.UNLABELLED_KEPT: BRIGHT[Outcome.STATIC_KEPT]}
 FIRM: dict[Outcome, Colour] = {
     Outcome.STATIC_KEPT: NEUTRAL,
     Outcome.DYNAMIC_REMOVED: (30, 125, 205),
@@ -83,7 +85,7 @@ SPANS: dict[str, Colour] = {  # states of an object over time
 STATE: Colour = (0, 175, 155)  # of a state without values or classes
 CLASSES: tuple[
     Colour, ...
-] = (  # classes of a method's state, in the order of its legend; none is that of an outcome
+] = (  # classes of a method's state, in the order of its legend; but for the first, of no outcome
     (118, 118, 126),
     STATE,
     (225, 80, 180),
@@ -91,7 +93,6 @@ CLASSES: tuple[
     (150, 120, 240),
     (170, 110, 70),
     (235, 235, 235),
-    (90, 130, 130),
 )
 
 

@@ -32,6 +32,24 @@ def test_outcomes_differ_and_errors_stand_out(eye: str) -> None:
 
 
 @pytest.mark.parametrize("eye", EYES)
+def test_unlabelled_points_are_dimmer_than_kept_ones(eye: str) -> None:
+    kept = colours.BRIGHT[Outcome.STATIC_KEPT]
+    unlabelled = colours.BRIGHT[Outcome.UNLABELLED_KEPT]
+    dim = contrast(unlabelled, colours.BACKGROUND, eye)
+    assert 1.5 < dim < contrast(kept, colours.BACKGROUND, eye) / 2
+    assert smallest_difference([kept, unlabelled], eye) > 20
+    assert colours.UNSCORED[Outcome.UNLABELLED_KEPT] == kept
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_classes_of_states_differ_from_outcomes_and_from_each_other(eye: str) -> None:
+    own = colours.CLASSES[1:]  # the first is that of static points, in both
+    outcomes = [colours.BRIGHT[outcome] for outcome in (*SCORED, Outcome.UNLABELLED_REMOVED)]
+    assert min(smallest_difference([a, b], eye) for a in own for b in outcomes) > 10
+    assert smallest_difference(own, eye) > 10
+
+
+@pytest.mark.parametrize("eye", EYES)
 def test_rays_differ_from_each_other_and_from_all_points(eye: str) -> None:
     points, rays = colours.BRIGHT.values(), colours.RAYS.values()
     assert min(smallest_difference([ray, point], eye) for ray in rays for point in points) > 15

@@ -55,13 +55,14 @@ def legend(reasons: Sequence[Reason], has_labels: bool, compares: bool = False) 
     Of changes between drives, with the reason.
     """
     words = WORDS if has_labels else _WITHOUT_TRUTH
+    shades = colours.BRIGHT if has_labels else colours.UNSCORED
     entries: list[Entry] = []
     for outcome in Outcome:
-        entries.append((int(outcome), words[outcome], colours.BRIGHT[outcome]))
+        entries.append((int(outcome), words[outcome], shades[outcome]))
         for code, reason in enumerate(reasons):
             number = (int(outcome) + 1) * REASONS + code
             label = plain(reason) if compares else f"{words[outcome]}: {plain(reason)}"
-            entries.append((number, label, colours.BRIGHT[outcome]))
+            entries.append((number, label, shades[outcome]))
     return entries
 
 

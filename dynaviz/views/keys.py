@@ -17,7 +17,7 @@ from dynaviz import colours
 from dynaviz.arrays import F32, F64, U8
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import Mask, Plane, PolarGrid, RangeImage, State
-from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.views import paths
 
 STACK = 2  # range images in one tab
@@ -39,6 +39,24 @@ GREYS = (0.22, 1.0)  # part of the greys in use in pictures: black is for empty 
 CIRCLE = np.linspace(0.0, 2 * np.pi, 73)
 RING_COLOUR: colours.Colour = (150, 150, 160)
 APART = 0.2  # of a colour bar: numbers closer to the threshold are left out
+LEGEND_WIDTH = 900  # pixels
+# words of the legend of a recording
+POINTS: dict[Outcome, str] = {
+    Outcome.STATIC_KEPT: "kept",
+    Outcome.DYNAMIC_REMOVED: "removed",
+    Outcome.FALSE_POSITIVE: "hole",
+    Outcome.FALSE_NEGATIVE: "ghost",
+    Outcome.UNLABELLED_KEPT: "unlabelled",
+}
+POINTS_WITHOUT_TRUTH: dict[Outcome, str] = {
+    Outcome.UNLABELLED_KEPT: "kept",
+    Outcome.UNLABELLED_REMOVED: "removed",
+}
+RAYS = {
+    colours.HIT: "ray: hit",
+    colours.CROSSED: "ray: through",
+    colours.GRAZED: "ray: grazing",
+}
 STANDING = 0.05  # metres between two scans: less is no motion
 
 
@@ -56,9 +74,29 @@ def tabs(info: MethodInfo) -> list[tuple[State, ...]]:
     return found
 
 
+def plain(name: str) -> str:
+    """The name of a state as words."""
+    return name.replace("_", " ")
+
+
 def title(state: State) -> str:
     """The name of a state as words."""
-    return state.name.replace("_", " ")
+    return plain(state.name)
+
+
+def legend(truth: bool) -> rr.EncodedImage:
+    """The colours of outcomes and rays as a picture.
+
+    Args:
+        truth: whether the run has ground truth.
+    """
+    points = POINTS if truth else POINTS_WITHOUT_TRUTH
+    shades = colours.BRIGHT if truth else colours.UNSCORED
+    entries = [(words, shades[outcome]) for outcome, words in points.items()]
+    entries += [(words, colours.RAYS[kind]) for kind, words in RAYS.items()]
+    picture = _empty(1, LEGEND_WIDTH)
+    _swatches(picture, entries)
+    return _png(picture)
 
 
 def strip(states: Sequence[State], params: Mapping[str, Any] | None = None) -> rr.EncodedImage:
@@ -157,10 +195,10 @@ def _bar(row: U8, left: int, state: State, threshold: float | None) -> None:
     low, high = value_range or (0.0, 1.0)
     marked = None if threshold is None else (threshold - low) / (high - low)
     if marked is not None:
-        column = int(left + marked * (right - left - 1))
-        row[: BAR + 6, max(column - 1, left) : column + 1] = TEXT
+        at = int(left + marked * (right - left - 1))
+        row[: BAR + 6, max(at - 1, left) : at + 1] = TEXT
         words = f"| {threshold:.3g}"
-        _text(row, words, min(column - 1, right - _width(words)), ROW - 6)
+        _text(row, words, min(at - 1, right - _width(words)), ROW - 6)
     for share in (0.0, 0.5, 1.0):
         if marked is not None and abs(share - marked) < APART:
             continue

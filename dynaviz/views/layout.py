@@ -21,6 +21,7 @@ from dynaviz.contracts.probe import Scalar, State, Voxels
 from dynaviz.contracts.scan import ERRORS
 from dynaviz.views import keys, object_lanes, paths
 
+LEGEND_SHARES = [9.4, 1.7, 6.9]  # heights of the case, the legend of colours, and the frame
 KEY_SHARE = 4.0  # height of the views of states, in heights of their key
 CLEAR = 0.75  # opacity of voxels: wrong points inside remain visible
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
@@ -125,7 +126,10 @@ def _world(info: MethodInfo, extent: Extent, found: Findings) -> Any:
     # verdicts, not quantities
     state = found.state or next((state.name for state in info.emits if state.legend), None)
     below = rrb.Horizontal(frame, _open_at(state, tabs)) if tabs else frame
-    return rrb.Vertical(above, below, row_shares=[3, 2])
+    legend = rrb.Spatial2DView(
+        name="colours of points and rays", origin=paths.LEGEND, background=BACKGROUND
+    )
+    return rrb.Vertical(above, legend, below, row_shares=LEGEND_SHARES)
 
 
 def _with_names(*boxes: str) -> list[str]:
@@ -134,7 +138,8 @@ def _with_names(*boxes: str) -> list[str]:
 
 def _open_at(state: str | None, tabs: list[Any]) -> Any:
     names = [tab.name for tab in tabs]
-    return rrb.Tabs(*tabs, active_tab=names.index(state) if state in names else 0)
+    name = None if state is None else keys.plain(state)
+    return rrb.Tabs(*tabs, active_tab=names.index(name) if name in names else 0)
 
 
 def _text(found: Findings) -> Any:
@@ -171,7 +176,7 @@ def _tabs(info: MethodInfo, found: Findings) -> list[Any]:
     tabs = []
     for states in keys.tabs(info):
         views = [_state(info.name, state, found) for state in states]
-        name = states[0].name if len(states) == 1 else f"{states[0].name} to {states[-1].name}"
+        name = ", ".join(map(keys.title, states))
         tabs.append(with_key(views, paths.key(info.name, states[0]), keys.heading(states), name))
     return tabs
 
@@ -220,7 +225,7 @@ def _reasons_and_scalars(info: MethodInfo, found: Findings) -> list[Any]:
     return [
         *([_curves("reasons", shown, rrb.Corner2D.LeftTop)] if shown else []),
         *[
-            _curves(state.name, [paths.state(info.name, state)])
+            _curves(keys.title(state), [paths.state(info.name, state)])
             for state in info.emits
             if issubclass(state.kind, Scalar)
         ],
@@ -265,11 +270,12 @@ def solid(
 def _state(method: str, state: State, found: Findings) -> Any:
     path = paths.state(method, state)
     if issubclass(state.kind, paths.FLAT):
-        return rrb.Spatial2DView(name=state.name, origin=path, background=BACKGROUND)
+        return rrb.Spatial2DView(name=keys.title(state), origin=path, background=BACKGROUND)
     errors = [paths.SCAN, paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND]
-    context = [paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY]
+    # without the map, which would be drawn over the state
+    context = [paths.RINGS, paths.SENSOR, paths.TRAJECTORY]
     return solid(
-        state.name,
+        keys.title(state),
         [path, *errors, *context],
         _aim(found),
         overrides={f"/{path}": rr.VoxelGridMap.from_fields(opacity=CLEAR)}

@@ -145,7 +145,7 @@ class LiveRecording:
         self._queue.clear()
         if static_map is not None:
             self._mapped = time.monotonic()
-            shade = colours.BRIGHT[Outcome.UNLABELLED_KEPT]
+            shade = colours.UNSCORED[Outcome.UNLABELLED_KEPT]
             self._log(
                 paths.MAP, rr.Points3D(static_map, colors=[shade], radii=rr.Radius.ui_points(1.0))
             )

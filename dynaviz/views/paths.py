@@ -26,6 +26,7 @@ ROOT = "/"  # the legend of outcomes
 WORLD = "world"
 SCAN = "world/scan"  # the frame's points, class = outcome
 SCAN_ROWS = "scan_rows"  # of each of them its row in the scan, and how many it stands for
+LEGEND = "legend"  # static picture: the colours of outcomes and rays
 MAP = "world/map"  # static: the cleaned map: points kept in the whole run, downsampled
 MAP_WRONG = "world/map/wrong"  # static: dynamic points kept, downsampled
 REMOVED = "world/removed"  # static: points removed in the whole run, downsampled

@@ -70,8 +70,8 @@ def _parts(
 ) -> list[list[Chunk] | LazyChunkStream]:
     """What to write, in this order."""
     static = lasting(reader.stream().filter(is_static=True).to_chunks())
-    end = [chunk for chunk in static if str(chunk.entity_path).startswith(PROPERTIES)][-1:]
-    static = [chunk for chunk in static if chunk not in end]
+    end = [chunk for chunk in static if _completes(chunk)]
+    static = [chunk for chunk in static if not _completes(chunk)]
     frames = _frames(reader).filter(content=by_frame)
     if left_out:
         frames = frames.drop(content=left_out)
@@ -106,6 +106,15 @@ def lasting(chunks: Sequence[Chunk]) -> list[Chunk]:
         last.pop(key, None)  # so that the order of what is left is that of its last chunks
         last[key] = chunk
     return list(last.values())
+
+
+def _completes(chunk: Chunk) -> bool:
+    """Whether a chunk states that the recording is complete."""
+    if not str(chunk.entity_path).startswith(PROPERTIES):
+        return False
+    rows = chunk.to_record_batch()
+    stated = rows["complete"].to_pylist() if "complete" in rows.schema.names else []
+    return any(values and values[-1] for values in stated)
 
 
 def _large(chunk: Chunk) -> bool:

@@ -20,6 +20,7 @@ from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.spans import LANES, lane
 from dynaviz.views import paths
 from dynaviz.views.cases import DID, listed, suspicious
+from dynaviz.views.keys import title
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.record import case_timeline
 from dynaviz.views.record.case_timeline import see
@@ -184,7 +185,7 @@ def test_recordings_open_at_the_first_case(recorded: RunRecording) -> None:
     assert {"case", "frame", "what and why", "failures"} <= set(shown)
     assert {name: reports for name, reports in shown.items() if reports} == {}
     assert set(shown) >= {
-        state.name for state in Guess.info.emits if state.name not in ("remark", "count")
+        title(state) for state in Guess.info.emits if state.name not in ("remark", "count")
     }
 
 

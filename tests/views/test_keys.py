@@ -83,6 +83,15 @@ def marks(state: State, params: dict[str, float]) -> float | None:
     return float(columns.mean()) if len(columns) else None
 
 
+@pytest.mark.parametrize("truth", [True, False])
+def test_the_legend_shows_outcomes_and_rays(truth: bool) -> None:
+    drawn = picture_of(keys.legend(truth))
+    outcomes = keys.POINTS if truth else keys.POINTS_WITHOUT_TRUTH
+    shades = colours.BRIGHT if truth else colours.UNSCORED
+    assert all(contains(drawn, shades[outcome]) for outcome in outcomes)
+    assert all(contains(drawn, ray) for ray in colours.RAYS.values())
+
+
 def test_the_scale_covers_its_part_of_the_colours() -> None:
     low, high = keys.stretched(10.0, 20.0)
     assert (10.0 - low) / (high - low) == pytest.approx(keys.PART[0])

@@ -12,6 +12,7 @@ from helpers.viewer_client import headless, problems
 from helpers.worlds import room
 from rerun.experimental import ViewerClient
 
+from dynaviz.views.keys import title
 from dynaviz.views.layout import SCORE_CURVES, WRONG
 from dynaviz.views.read.shot import push
 
@@ -21,7 +22,7 @@ def test_a_run_is_shown_without_problems(tmp_path: Path) -> None:
     with headless((1200, 800)) as client:
         shown = problems(recording, client)
     assert {"map", "frame", SCORE_CURVES, WRONG, "report"} <= set(shown)
-    assert set(shown) >= {state.name for state in Guess.info.emits if state.name != "remark"}
+    assert set(shown) >= {title(state) for state in Guess.info.emits if state.name != "remark"}
     assert {name: reports for name, reports in shown.items() if reports} == {}
 
 

@@ -30,7 +30,7 @@ from dynaviz.views.record.recorder import Recorder
 MODES = ("full", "errors", "scores")
 WORLD = {
     paths.SCAN, paths.MAP, paths.MAP_WRONG, paths.REMOVED, paths.REMOVED_WRONG,
-    paths.TRAJECTORY, paths.SENSOR, paths.RINGS,
+    paths.TRAJECTORY, paths.SENSOR, paths.RINGS, paths.LEGEND,
 }  # fmt: skip
 NUMBERS = {
     "answers", "report", "report/failures", "log",

@@ -184,8 +184,8 @@ def caption(span: CaseSpan, frame: int, width: int) -> U8:
     words = textwrap.wrap(span.sentence, max(20, (width - 2 * MARGIN) // LETTER))
     if span.outcome == Outcome.UNLABELLED_REMOVED:
         legend = [
-            (colours.BRIGHT[span.outcome], "removed"),
-            (colours.BRIGHT[Outcome.UNLABELLED_KEPT], "kept"),
+            (colours.UNSCORED[span.outcome], "removed"),
+            (colours.UNSCORED[Outcome.UNLABELLED_KEPT], "kept"),
         ]
     else:
         legend = [

@@ -228,6 +228,7 @@ def _picture(client: ViewerClient, view: str | None) -> Picture:
         return lambda: _without_bar(_drawn(client))
     views = viewer.patient(client.get_state).views
     ids = {shown.name: str(shown.view_id) for shown in views}
+    view = view if view in ids else view.replace("_", " ")  # the name of a state
     if view not in ids:
         names = sorted(shown.name for shown in views if "/keys/" not in shown.origin)
         raise UsageError(f"--view-name {view}: choose from {', '.join(names)}")

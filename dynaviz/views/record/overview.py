@@ -113,12 +113,13 @@ class Overview(Listener):
         }
         sink.properties(paths.OVERVIEW, **facts)
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        shades = colours.BRIGHT if result.has_truth else colours.UNSCORED
         for outcome, downsampled in self._maps.items():
             points, _ = downsampled.thinned()
             radius = rr.Radius.ui_points(
                 1.0 if outcome in (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT) else 2.5
             )
-            cloud = rr.Points3D(points, colors=colours.BRIGHT[outcome], radii=radius)
+            cloud = rr.Points3D(points, colors=shades[outcome], radii=radius)
             sink.log(f"{paths.MAP}/{outcome.name.lower()}", cloud, static=True)
         sink.log(
             paths.TRAJECTORY, rr.LineStrips3D([self._way], colors=[240, 240, 240]), static=True

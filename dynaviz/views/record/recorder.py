@@ -434,6 +434,9 @@ class Recorder(Listener):
         for tab in keys.tabs(self._info) if self._states else ():
             key = keys.strip(tab, dataclasses.asdict(self._run.params))
             self._open.log(paths.key(self._info.name, tab[0]), key, static=True)
+        if self._scene is not None:
+            legend_strip = keys.legend(self._run.sequence.has_labels)
+            self._open.log(paths.LEGEND, legend_strip, static=True)
 
     def _draw_states(
         self, queue: list[tuple[State, Value]], scan: Scan, errors: F32 | None = None
