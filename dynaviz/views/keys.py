@@ -195,10 +195,10 @@ def _bar(row: U8, left: int, state: State, threshold: float | None) -> None:
     low, high = value_range or (0.0, 1.0)
     marked = None if threshold is None else (threshold - low) / (high - low)
     if marked is not None:
-        at = int(left + marked * (right - left - 1))
-        row[: BAR + 6, max(at - 1, left) : at + 1] = TEXT
+        mark = int(left + marked * (right - left - 1))
+        row[: BAR + 6, max(mark - 1, left) : mark + 1] = TEXT
         words = f"| {threshold:.3g}"
-        _text(row, words, min(at - 1, right - _width(words)), ROW - 6)
+        _text(row, words, min(mark - 1, right - _width(words)), ROW - 6)
     for share in (0.0, 0.5, 1.0):
         if marked is not None and abs(share - marked) < APART:
             continue
