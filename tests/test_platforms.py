@@ -67,7 +67,8 @@ def test_every_module_imports() -> None:
 import importlib, pkgutil
 for package in ("dynaviz", "dynaviz_methods", "dynaviz_eval"):
     for module in pkgutil.walk_packages(importlib.import_module(package).__path__, package + "."):
-        if not module.name.endswith("__main__"):
+        # the latter imports ROS, which few machines have
+        if not module.name.endswith(("__main__", "dynaviz.ros2.node")):
             importlib.import_module(module.name)
 """)
     assert done.returncode == 0, done.stderr
