@@ -348,22 +348,14 @@ class ScanChecker:
             problem = (
                 f"the sensor's position is up to {self._outside.worst:,.0f} m outside its own cloud"
             )
-            if 2 * self._around_zero > self._outside.count:
-                yield Finding(
-                    SENSOR_FRAME.name,
-                    Confidence.LIKELY,
-                    f"{SENSOR_FRAME.problem}: {problem}, which is around zero",
-                    SENSOR_FRAME.fix,
-                )
-                return
-            if 2 * self._around_position > self._outside.count:
-                yield Finding(
-                    WORLD_FRAME.name,
-                    Confidence.LIKELY,
-                    f"{WORLD_FRAME.problem}: {problem}, and the points in its file are around it",
-                    WORLD_FRAME.fix,
-                )
-                return
+            for count, meant, where in (
+                (self._around_zero, SENSOR_FRAME, "which is around zero"),
+                (self._around_position, WORLD_FRAME, "and the points in its file are around it"),
+            ):
+                if 2 * count > self._outside.count:
+                    text = f"{meant.problem}: {problem}, {where}"
+                    yield Finding(meant.name, Confidence.LIKELY, text, meant.fix)
+                    return
             fix = (
                 "Give poses and points in the same world frame, positions in metres; 'dynaviz "
                 "info' shows the extent"
