@@ -170,6 +170,7 @@ def compare(
     *recordings: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
     review: str | os.PathLike[str] | None = None,
+    card: str | os.PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> Comparison:
     """Compare runs on the same points, from their recordings alone.
@@ -179,18 +180,27 @@ def compare(
         out: where to write a recording that shows them side by side; None writes none.
         review: a file with decisions, which the ground truth of all runs follows; then the sequence
             of the first run is read, too.
+        card: a Markdown file to write: the verdict, what differs, and each object or surface that
+            changed, with a strip of pictures as a PNG file next to it; None writes none.
         progress: called with a phase, the number of recordings done and their total.
 
     Returns:
         The comparison; printing it shows tables.
 
     Raises:
-        UsageError: for fewer than two recordings, too many, or an ``out`` that is one of them.
+        UsageError: for fewer than two recordings, too many, an ``out`` that is one of them, or a
+            ``card`` whose name does not end in ``.md``.
         DataError: for recordings that cannot be read or compared (``recordings/README.md``).
     """
+    from dynaviz.reports import change_card
     from dynaviz.views.compare.compare import Compared
+
+    if card is not None:
+        change_card.checked(card)
 
     truth = None if review is None else truths(open_run(recordings[0]), review, progress)
     compared = Compared(recordings, out, progress, truth)
+    if card is not None:
+        change_card.write_card(card, compared.comparison, compared.recordings, progress)
     compared.write(progress)
     return compared.comparison

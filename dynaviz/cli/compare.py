@@ -24,6 +24,13 @@ def compare(
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Recording to write, with the runs side by side.")
     ] = Path("compare.rrd"),
+    card: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CARD.md",
+            help="Write what changed as Markdown, for a pull request, with pictures next to it.",
+        ),
+    ] = None,
     view: Annotated[
         bool, typer.Option("--view", help="Open the written recording in the viewer.")
     ] = False,
@@ -47,10 +54,14 @@ def compare(
     dynaviz compare recordings/street/octomap/run.rrd recordings/street/dufomap/run.rrd
     dynaviz compare a.rrd b.rrd c.rrd -o compare.rrd --json compare.json
     dynaviz compare old.rrd new.rrd --fail-below -0.5
+    dynaviz compare old.rrd new.rrd --card card.md
     """
     isolated.without_pandas()
+    from dynaviz.reports import change_card
     from dynaviz.views.compare.compare import Compared
 
+    if card is not None:
+        change_card.checked(card)
     opened = [recording_in(each) for each in recordings]
     truth = None
     if review is not None:
@@ -65,10 +76,15 @@ def compare(
     printed = print_json(comparison.to_dict(), json)
     if not printed:
         show(comparison)  # before the recording is written, which takes longer
+    if card is not None:
+        with progress("compare", unit="pairs") as report:
+            change_card.write_card(card, comparison, compared.recordings, report)
     with progress("compare", unit="recordings") as report:
         compared.write(report)
     if not printed:
         show(f"Written to {out}. Open it with: {program()} view {out}")
+        if card is not None:
+            show(f"Written to {card}, with pictures next to it.")
     if json is not None and not printed:
         show(f"Written to {json}.")
     if view:

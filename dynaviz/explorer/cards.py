@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz import colours
 from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
 from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.explain.point_ledger import PointLedger
@@ -22,14 +21,12 @@ from dynaviz.scores.case_points import inside
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.sections import RemovedCluster
 from dynaviz.views.cases import middle_of, title_of
-from dynaviz.views.read.focus import ASIDE, FIELD_OF_VIEW, distance_to
+from dynaviz.views.read.still import Still
 
 BARS = 40  # of a sparkline, at most
 MARGIN = 0.02  # metres around the box of a case, whose corners are rounded
 MAP_MARGIN = 1.0  # metres around this box that the map of a case shows
 MAP_POINTS = 600  # of each outcome in this map
-NEAREST = 0.5  # metres: what is nearer to the eye is not drawn
-SHADES = np.array([colours.BRIGHT[outcome] for outcome in Outcome], np.uint8)
 BOTH = 0.5  # share of a case's points that the other run gets wrong, too, from which both are wrong
 KINDS = {
     Outcome.FALSE_NEGATIVE: "ghost",
@@ -299,31 +296,10 @@ def picture(run: ExploredRun, card: Card, size: tuple[int, int]) -> bytes:
     """
     import cv2
 
-    width, height = size
-    pixels = np.full((height, width, 3), colours.BACKGROUND, np.uint8)
     xyz, outcome = _around(run, card)
-    middle = (card.low + card.high) / 2
-    (ahead, right, up) = _axes()
-    offset = xyz - middle + distance_to(card.low, card.high) * ahead
-    depth = offset @ ahead
-    scale = height / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        column = width / 2 + scale * (offset @ right) / depth
-        row = height / 2 - scale * (offset @ up) / depth
-        shown = np.flatnonzero(
-            (depth > NEAREST)
-            & (np.abs(2 * column - width) < width)
-            & (np.abs(2 * row - height) < height)
-        )
-    # near points and the case on top
-    order = np.lexsort((-depth[shown], outcome[shown] == card.outcome))
-    shown = shown[order]
-    x = column[shown].astype(int)
-    y = row[shown].astype(int)
-    shades = SHADES[outcome[shown]]
-    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        pixels[np.minimum(y + dy, height - 1), np.minimum(x + dx, width - 1)] = shades
-    return cv2.imencode(".png", pixels[:, :, ::-1])[1].tobytes()
+    still = Still(card.low, card.high, size)
+    still.draw(xyz, outcome, card.outcome)
+    return cv2.imencode(".png", still.pixels[:, :, ::-1])[1].tobytes()
 
 
 def _around(run: ExploredRun, card: Card) -> tuple[F32, U8]:
@@ -337,11 +313,3 @@ def _around(run: ExploredRun, card: Card) -> tuple[F32, U8]:
         return kept, np.full(len(kept), Outcome.STATIC_KEPT, np.uint8)
     outcome = np.concatenate([np.full(len(kept), Outcome.STATIC_KEPT, np.uint8), drawn.outcome])
     return np.concatenate([kept, drawn.xyz]), outcome
-
-
-def _axes() -> F64:
-    """(3, 3) unit vectors of the eye on a case: ahead, to the right, and up."""
-    ahead = -ASIDE / np.linalg.norm(ASIDE)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return np.stack([ahead, right, np.cross(right, ahead)])

@@ -91,16 +91,21 @@ def object_changes(first: Result, second: Result) -> tuple[ObjectChange, ...]:
 def _rows(result: Result) -> dict[_Key, ObjectRow]:
     breakdown = result.sections.breakdown
     rows = breakdown.object if breakdown else ()
-    return {(row.class_, row.instance): row for row in rows if row.instance}
+    return {_key(row.class_, row.instance): row for row in rows if row.instance}
+
+
+def _key(class_: int | None, instance: int) -> _Key:
+    """Class and number; sequences without classes have class 0 in breakdowns, none in cases."""
+    return class_ or None, instance
 
 
 def _names(result: Result) -> dict[_Key, str]:
     """What objects are, from the ceiling and the failure cases."""
     ceiling = result.sections.ceiling
     objects = ceiling.objects if ceiling else ()
-    known = {(each.class_, each.instance): each.what for each in objects if each.instance}
-    cases = (case for _, case in _kept(result))
-    return known | {(case.class_, case.instance): case.what for case in cases if case.instance}
+    known = {_key(each.class_, each.instance): each.what for each in objects if each.instance}
+    cases = (case for _, case in _kept(result) if case.instance)
+    return known | {_key(case.class_, case.instance or 0): case.what for case in cases}
 
 
 def _kept(result: Result) -> Iterator[tuple[int, FailureCase]]:
@@ -113,6 +118,6 @@ def _kept(result: Result) -> Iterator[tuple[int, FailureCase]]:
 def _fate(result: Result, row: ObjectRow, key: _Key) -> ObjectFate:
     removed = 100.0 * row.dynamic_removed / (row.dynamic_removed + row.dynamic_kept)
     for number, case in _kept(result):
-        if (case.class_, case.instance) == key:
+        if _key(case.class_, case.instance or 0) == key:
             return ObjectFate(removed, number, case.cause, case.behaviour)
     return ObjectFate(removed)

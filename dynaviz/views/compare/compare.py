@@ -53,6 +53,7 @@ class Compared:
             by position of the frame.
 
     Attributes:
+        recordings: the opened ones, with this ground truth.
         comparison: what they differ in.
 
     Raises:
@@ -68,7 +69,7 @@ class Compared:
         progress: Progress = silent,
         truths: Mapping[int, U8] | None = None,
     ) -> None:
-        self._opened = opened = _open(recordings, out)
+        self.recordings = opened = _open(recordings, out)
         for recording in opened:
             recording.correct(truths or {})
         results = [_result(recording) for recording in opened]
@@ -99,7 +100,7 @@ class Compared:
                 spatial_gains(places[0][1], other[1], total) for other in places[1:]
             ]
             merge.write(
-                Path(self._out), self._opened, self.comparison, self._counts, fine, progress
+                Path(self._out), self.recordings, self.comparison, self._counts, fine, progress
             )
 
 
