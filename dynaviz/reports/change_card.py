@@ -332,10 +332,11 @@ def _strip(each: PlacedChange, worst: int, frames: I64, xyz: F32) -> Strip:
     """
     known = np.unique(frames)
     chosen = known[np.unique(np.linspace(0, len(known) - 1, FRAMES).round().astype(int))]
-    if len(chosen) == FRAMES and worst not in chosen:
+    drawn = worst in known  # of a thinned case, perhaps no point
+    if len(chosen) == FRAMES and drawn and worst not in chosen:
         chosen[np.argmin(np.abs(chosen[1:-1] - worst)) + 1] = worst
     strip = Strip(np.unique(chosen).tolist())
-    rests = isinstance(each.change, SurfaceChange) and worst in known
+    rests = isinstance(each.change, SurfaceChange) and drawn
     for frame in strip.frames:
         here = xyz[frames == (worst if rests else frame)].astype(np.float64)
         strip.low.append(here.min(0))

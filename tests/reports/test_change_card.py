@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from helpers.compared_recordings import dynamic_labels
 from helpers.worlds import room
@@ -16,6 +17,7 @@ from dynaviz import colours
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.errors import DataError, UsageError
 from dynaviz.reports import change_card
+from dynaviz.scores.comparison.surfaces import SurfaceChange, SurfaceFate
 from dynaviz.scores.result import Result
 
 Command = Callable[..., tuple[int, str, str]]
@@ -104,6 +106,22 @@ def test_strips_show_both_runs_in_the_frames_that_are_named(card: Path) -> None:
                 top = change_card.HEAD + run * (height + change_card.GAP)
                 tile = pixels[top : top + height, left : left + width].reshape(-1, 3)
                 assert (tile != tile[0]).any()  # not empty
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_case_has_frames_in_which_it_is_drawn(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    frames = np.sort(random.integers(0, random.integers(1, 40), random.integers(1, 60)))
+    xyz = random.normal(size=(len(frames), 3)).astype(np.float32)
+    worst = int(random.integers(0, 40))
+    nothing = SurfaceFate(0.0)
+    surface = SurfaceChange("wall", (0.0,) * 3, (1.0,) * 3, 0, 39, 1.0, nothing, nothing)
+    strip = change_card._strip(change_card.PlacedChange(surface, 0, 1), worst, frames, xyz)
+    known = set(frames.tolist())
+    assert set(strip.frames) <= known
+    assert len(strip.frames) == min(len(known), change_card.FRAMES)
+    assert worst in strip.frames or worst not in known
+    assert all((low <= high).all() for low, high in zip(strip.low, strip.high, strict=True))
 
 
 def test_the_run_that_removed_less_of_an_object_shows_more_of_it(card: Path) -> None:
