@@ -35,13 +35,16 @@ from dynaviz.explain.point_ledger import (
     RuleValue,
     TermValue,
 )
-from dynaviz.explain.ray_geometry import Touching, touching
+from dynaviz.explain.ray_geometry import Touching, plain
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.surface import surface_normals
 
 EDGE = (
     0.1  # metres: of the box around a point whose rays are searched, for a method without evidence
 )
+
+
+Pairs = tuple[tuple[float | None, float | None], ...]
 
 
 class Ledger(Listener):
@@ -87,17 +90,16 @@ class Ledger(Listener):
                     book.asked = dataclasses.replace(book.asked, first=first)
                 first += len(sequence[frame])
 
-    def needed(self, scan: Scan) -> Intp | None:
-        """(K,) the points of a scan whose rays can change what the method knows about the points.
+    def cells(self) -> F64 | None:
+        """(K, 2, 3) float64, metres, world frame: only rays that touch them can change what the
+        method knows about the points.
 
-        None for all.
+        None if any ray can.
         """
         books = [book for book in self._books.values() if not book.over and len(book.points)]
         if not all(book.alone for book in books):
             return None
-        cells = np.concatenate([np.empty((0, 2, 3)), *(book.cells for book in books)])
-        margin = (cells[:, 1] - cells[:, 0]) / 2  # a method's walk along a ray rounds differently
-        return touching(scan, np.stack([cells[:, 0] - margin, cells[:, 1] + margin], 1))
+        return np.concatenate([np.empty((0, 2, 3)), *(book.cells for book in books)])
 
     def observing(self, frame: int, scan: Scan) -> None:
         """Keep the scan."""
@@ -143,18 +145,11 @@ class Ledger(Listener):
             first += len(book.points)
 
     def _evidence(self, book: _Book) -> Evidence | None:
-        """What the method states on points.
-
-        For so few, starting threads would take most of the time.
-        """
+        """What the method states on points."""
         if self._explains is None:
             return None
-        threads = kernels.threads_in_use()
-        kernels.set_threads(1)
-        try:
+        with kernels.one_thread():
             return self._explains.evidence(book.asked)
-        finally:
-            kernels.set_threads(threads)
 
 
 class _Book:
@@ -220,25 +215,28 @@ class _Book:
                 concerned |= ~np.isnan(quantity.values)
             for step in quantity.steps:
                 concerned |= step.applies
-        for k in (
-            range(len(concerned)) if frame == self._frame else np.flatnonzero(concerned).tolist()
-        ):
+        if frame == self._frame:
+            concerned[:] = True
+        rows = np.flatnonzero(concerned)
+        geometry = rays.seen(first + rows, self.points[rows], self._normals[rows])
+        numbers = {quantity.name: plain(quantity.values[rows]) for quantity in values}
+        added = {name: of[rows].tolist() for name, of in changes.items()}
+        holding = {name: of[rows].tolist() for name, of in held.items()}
+        verdict = None if removed is None else removed[rows].tolist()
+        applying = [(step.name, step.applies[rows].tolist()) for q in values for step in q.steps]
+        pairs = {name: each.pairs(rows) for name, each in compared.items()}
+        for i, k in enumerate(rows.tolist()):
             self._entries[k].append(
                 LedgerEntry(
                     frame,
                     index,
-                    *rays.seen(first + k, self.points[k], self._normals[k]),
-                    values={q.name: _plain(q.values[k]) for q in values},
-                    changes={name: float(of[k]) for name, of in changes.items() if of[k]},
-                    holds=tuple(name for name, of in held.items() if of[k]),
-                    removed=None if removed is None else bool(removed[k]),
-                    steps=tuple(step.name for q in values for step in q.steps if step.applies[k]),
-                    terms={
-                        name: pairs
-                        for name, numbers in compared.items()
-                        if (pairs := numbers.pairs(k))
-                        and any(value is not None for value, _ in pairs)
-                    },
+                    *geometry[i],
+                    values={name: of[i] for name, of in numbers.items()},
+                    changes={name: of[i] for name, of in added.items() if of[i]},
+                    holds=tuple(name for name, of in holding.items() if of[i]),
+                    removed=None if verdict is None else verdict[i],
+                    steps=tuple(name for name, applies in applying if applies[i]),
+                    terms={name: of[i] for name, of in pairs.items() if _any_known(of[i])},
                 )
             )
 
@@ -359,7 +357,7 @@ class _Numbers:
         return tuple(
             TermValue(
                 term.name,
-                _plain(values[k]),
+                None if math.isnan(values[k]) else float(values[k]),
                 term.test,
                 float(limits[k]),
                 term.unit,
@@ -370,9 +368,13 @@ class _Numbers:
             for term, values, limits, holds in self._terms
         )
 
-    def pairs(self, k: int) -> tuple[tuple[float | None, float | None], ...]:
-        """Number and threshold of each term at a point."""
-        return tuple((_plain(values[k]), _plain(limits[k])) for _, values, limits, _ in self._terms)
+    def pairs(self, rows: Intp) -> list[Pairs]:
+        """Number and threshold of each term, at each of (K,) points."""
+        terms = [
+            zip(plain(values[rows]), plain(limits[rows]), strict=True)
+            for _, values, limits, _ in self._terms
+        ]
+        return list(zip(*terms, strict=True))
 
     def closeness(self) -> tuple[I64, F64]:
         """Number of terms that hold, and minus the distance of the others from their thresholds.
@@ -391,6 +393,5 @@ class _Numbers:
         return holds.sum(0), -np.where(holds, 0.0, gaps).sum(0)
 
 
-def _plain(value: Any) -> float | None:
-    number = float(value)
-    return None if math.isnan(number) else number
+def _any_known(pairs: Pairs) -> bool:
+    return any(value is not None for value, _ in pairs)

@@ -62,28 +62,32 @@ class Touching:
         lengths[some] = (away[first + half] + away[first + crossed[some] - 1 - half]) / 2
         return cls(hits, crossed, origins, lengths)
 
-    def seen(self, k: int, point: F32, normal: F64) -> Geometry:
-        """Origin, range, angle, numbers of rays, and how far crossing rays go on, as in
-        ``LedgerEntry``.
+    def seen(self, cells: Intp, points: F32, normals: F64) -> list[Geometry]:
+        """Of each of (K,) cells, with a point (K, 3) and the normal of its surface (K, 3): origin,
+        range, angle, numbers of rays, and how far crossing rays go on, as in ``LedgerEntry``.
         """
-        ray = point - self.origins[k]
-        away = math.sqrt(ray @ ray)
-        angle = float(angles(ray[None], normal[None])[0])
-        behind = float(self.lengths[k])
-        x, y, z = self.origins[k].tolist()
-        hits = int(self.hits[k])
-        crossed = int(self.crossed[k])
-        return (
-            (x, y, z),
-            away,
-            None if math.isnan(angle) else angle,
-            hits,
-            crossed,
-            None if math.isnan(behind) else behind - away,
+        origins = self.origins[cells]
+        directions = points - origins
+        away = np.sqrt((directions * directions).sum(1))
+        return list(
+            zip(
+                [(x, y, z) for x, y, z in origins.tolist()],
+                away.tolist(),
+                plain(angles(directions, normals)),
+                self.hits[cells].tolist(),
+                self.crossed[cells].tolist(),
+                plain(self.lengths[cells] - away),
+                strict=True,
+            )
         )
 
 
 Geometry = tuple[tuple[float, float, float], float, float | None, int, int, float | None]
+
+
+def plain(numbers: F64) -> list[float | None]:
+    """Numbers (K,); None for NaN."""
+    return [None if math.isnan(number) else number for number in numbers.tolist()]
 
 
 def _touched(scan: Scan, cells: F64) -> tuple[I64, I64, Bool]:
@@ -112,5 +116,12 @@ def _touched(scan: Scan, cells: F64) -> tuple[I64, I64, Bool]:
 
 
 def touching(scan: Scan, cells: F64) -> Intp:
-    """(K,) the points of a scan whose rays touch any of some cells, (C, 2, 3)."""
-    return np.unique(_touched(scan, cells)[0]) if len(cells) else np.empty(0, np.intp)
+    """(K,) the points of a scan whose rays touch any of some cells, (C, 2, 3), or pass nearby.
+
+    A method's walk along a ray rounds differently.
+    """
+    if not len(cells):
+        return np.empty(0, np.intp)
+    margin = (cells[:, 1] - cells[:, 0]) / 2
+    around = np.stack([cells[:, 0] - margin, cells[:, 1] + margin], 1)
+    return np.unique(_touched(scan, around)[0])

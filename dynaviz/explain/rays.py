@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I64, U8, Intp
+from dynaviz.arrays import F32, I64, U8, Intp
 from dynaviz.colours import CROSSED, GRAZED, HIT
 from dynaviz.explain.point_ledger import LedgerEntry, PointLedger
 from dynaviz.scores.spans import Spans, spans_of
@@ -24,6 +24,9 @@ NAMES = {
 }
 STRIPS = 15  # rays drawn of a case: more would hide it
 BEYOND = 40.0  # metres behind a point at which drawn rays end at the latest
+
+
+Strip = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,16 +64,23 @@ def rays_of(ledgers: Sequence[PointLedger], most: int | None = None) -> Touching
     return TouchingRays(frames[chosen], kinds[chosen], strips[chosen])
 
 
-def _rays(ledger: PointLedger, entry: LedgerEntry) -> list[tuple[int, int, F64]]:
+def _rays(ledger: PointLedger, entry: LedgerEntry) -> list[tuple[int, int, Strip]]:
     """At most two rays of a scan: frame, class and ends."""
-    start = np.array(entry.sensor)
-    point = np.array(ledger.position)
-    rays = [(entry.frame, HIT, np.stack([start, point]))] if entry.hits else []
+    x, y, z = ledger.position
+    rays: list[tuple[int, int, Strip]] = []
+    if entry.hits:
+        rays.append((entry.frame, HIT, (entry.sensor, ledger.position)))
     if entry.crossed:
         behind = min(entry.behind_m or 0.0, BEYOND)
         kind = GRAZED if entry.angle_deg is not None and entry.angle_deg < GRAZING else CROSSED
-        end = point + (point - start) * (behind / max(entry.range_m, 1e-6))
-        rays.append((entry.frame, kind, np.stack([start, end])))
+        further = behind / max(entry.range_m, 1e-6)
+        from_x, from_y, from_z = entry.sensor
+        end = (
+            x + (x - from_x) * further,
+            y + (y - from_y) * further,
+            z + (z - from_z) * further,
+        )
+        rays.append((entry.frame, kind, (entry.sensor, end)))
     return rays
 
 

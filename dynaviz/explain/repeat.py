@@ -8,7 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from dynaviz import kernels
+from dynaviz.arrays import F64
 from dynaviz.contracts.at_sensor import AtSensor
 from dynaviz.contracts.probe import SILENT
 from dynaviz.contracts.scan import Scan, stream
@@ -16,6 +19,7 @@ from dynaviz.engine.loop import Clock, RunSpec, context_of, labelled_by
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.explain.ledger import Ledger
 from dynaviz.explain.point_ledger import PointLedger
+from dynaviz.explain.ray_geometry import touching
 from dynaviz.explain.sample import Witnesses
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.summary import summarize
@@ -47,7 +51,8 @@ def repeat(
     """Let the labeller of a run see all scans again, and keep the ledgers of points.
 
     Unless the whole run is asked for, only the frames of the points are labelled, and the method
-    observes of the other scans only the rays that can change what it knows about the points.
+    observes of the other scans only the rays that can change what it knows about the points. Frames
+    of witnesses are labelled too, unless their evidence is complete without.
 
     Args:
         run: its labeller forgets what it knows, and then knows it again.
@@ -75,8 +80,7 @@ def repeat(
     one_pass = run.online or method is None
     # From the first on, as in a run, so that no method takes the scan that it observed last for
     # that of an online run.
-    drawn = [] if witnesses is None else witnesses.frames
-    chosen = range(total) if whole or one_pass else sorted({0, *rows, *drawn})
+    chosen = range(total) if whole or one_pass else sorted({0, *rows})
     clock = Clock()
     answer = PackedBits()
     begin = time.perf_counter()
@@ -84,7 +88,13 @@ def repeat(
     run.labeller.begin(context_of(run, summary, SILENT))
     ledger.begin(run, summary)
     if witnesses is not None:
-        witnesses.begin(sequence)
+        witnesses.begin(run.labeller, sequence)
+
+    def cells() -> F64 | None:
+        asking: list[Ledger | Witnesses] = [ledger] if witnesses is None else [ledger, witnesses]
+        asked = [each.cells() for each in asking]
+        parts = [part for part in asked if part is not None]
+        return np.concatenate(parts) if len(parts) == len(asked) else None
 
     def observe(frame: int, scan: Scan) -> None:
         assert method is not None
@@ -93,11 +103,11 @@ def repeat(
         if frame in chosen:
             clock.timed(len(clock.frames), method.observe, seen)
         else:
-            needed = ledger.needed(seen) if witnesses is None else None
-            method.observe(seen if needed is None else seen.chosen(needed))
+            changing = cells()
+            method.observe(seen if changing is None else seen.chosen(touching(seen, changing)))
         ledger.observed(frame)
         if witnesses is not None:
-            witnesses.observed(run.labeller)
+            witnesses.observed()
         progress("observe", frame + 1, total)
 
     def label(number: int, frame: int, scan: Scan) -> None:
@@ -106,7 +116,7 @@ def repeat(
         answer.append(labelled.dynamic)
         ledger.labelled(labelled, {})
         if witnesses is not None:
-            witnesses.labelled(labelled, run.labeller, run.online)
+            witnesses.labelled(frame, run.online)
         progress("label", number + 1, len(chosen))
 
     for frame, scan in enumerate(stream(sequence)):
@@ -117,6 +127,12 @@ def repeat(
     if not one_pass:
         for number, frame in enumerate(chosen):
             label(number, frame, sequence[frame])
+    if witnesses is not None:
+        further = [] if cells() is not None else sorted({*witnesses.frames}.difference(chosen))
+        for frame in further:
+            labelled_by(run, near, frame, sequence[frame], run.labeller.label)
+            witnesses.labelled(frame, run.online)
+        witnesses.finish()
     ledger.finish()
     seconds = time.perf_counter() - begin
     if method is not None:

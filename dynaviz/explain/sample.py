@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I64, U8, U64
+from dynaviz.arrays import F32, F64, I64, U8, U64, Bool
 from dynaviz.contracts.evidence import Asked, Evidence, Explains, Rule, Verdict
 from dynaviz.contracts.method import Labeller
 from dynaviz.contracts.metric import Labelled
@@ -35,6 +35,7 @@ OF_TRUTH = (
     (Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE),
     (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE),
 )
+REMOVED = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,35 +193,55 @@ class Witnesses:
         found: list[int] = np.unique(self._drawn.frame).tolist()
         return found
 
-    def begin(self, sequence: Scans) -> None:
+    def begin(self, labeller: Labeller, sequence: Scans) -> None:
         """Read the points."""
+        assert isinstance(labeller, Explains)
+        self._explains: Explains = labeller
+        self._name = labeller.info.name
         for frame in self.frames:
             which = np.flatnonzero(self._drawn.frame == frame)
             scan = sequence[frame].without_truth()
             asked = Asked(scan, self._drawn.row[which], self._first[frame])
-            self._asked[frame] = _Asked(asked, which, self._given)
+            removed = np.isin(self._drawn.outcomes[self._drawn.stratum[which]], REMOVED)
+            self._asked[frame] = _Asked(asked, removed, self._given)
 
-    def observed(self, labeller: Labeller) -> None:
+    def cells(self) -> F64 | None:
+        """(K, 2, 3) float64, metres, world frame: as of ``Ledger``."""
+        asked = [each for each in self._asked.values() if not each.over]
+        if not all(each.alone for each in asked):
+            return None
+        return np.concatenate([np.empty((0, 2, 3)), *(each.cells for each in asked)])
+
+    def observed(self) -> None:
         """After a scan."""
-        for each in self._asked.values():
-            if not each.over:
-                each.add(self._evidence(labeller, each.asked))
+        with kernels.one_thread():
+            for each in self._asked.values():
+                if not each.over:
+                    each.add(self._explains.evidence(each.asked))
 
-    def labelled(self, labelled: Labelled, labeller: Labeller, online: bool) -> None:
-        """After the labels of a scan; online, later scans change them no more.
+    def labelled(self, frame: int, online: bool) -> None:
+        """After the labels of a frame; online, later scans change them no more.
 
         Raises:
-            PluginError: if the evidence contradicts them.
+            PluginError: if the evidence contradicts those of the run.
         """
-        each = self._asked.get(labelled.frame)
-        if each is None:
-            return
-        each.add(self._evidence(labeller, each.asked), judged=True)
-        each.over = each.over or online
-        each.removed = labelled.dynamic[each.asked.rows]
+        each = self._asked.get(frame)
+        if each is not None:
+            self._judge(each)
+            each.over = each.over or online
+
+    def finish(self) -> None:
+        """After the last scan, for frames that were not labelled again; raises as ``labelled``."""
+        for each in self._asked.values():
+            if not each.complete:
+                self._judge(each)
+
+    def _judge(self, each: _Asked) -> None:
+        with kernels.one_thread():
+            each.add(self._explains.evidence(each.asked), judged=True)
         verdict = each.verdict.dynamic()
         if verdict is not None and (verdict != each.removed).any():
-            raise PluginError(f"{labeller.info.name}: its evidence contradicts its labels")
+            raise PluginError(f"{self._name}: its evidence contradicts its labels")
 
     def judged(self) -> Judgeable | None:
         """The points, in the order of frames, to be judged again.
@@ -233,25 +254,30 @@ class Witnesses:
             return None
         return _joined(parts)
 
-    def _evidence(self, labeller: Labeller, asked: Asked) -> Evidence:
-        assert isinstance(labeller, Explains)
-        threads = kernels.threads_in_use()
-        kernels.set_threads(1)
-        try:
-            return labeller.evidence(asked)
-        finally:
-            kernels.set_threads(threads)
-
 
 class _Asked:
-    """The points of one frame, while a method is asked about them."""
+    """The points of one frame, while a method is asked about them.
 
-    def __init__(self, asked: Asked, which: I64, given: Mapping[str, float]) -> None:
+    Args:
+        asked: the points.
+        removed: (K,) their labels in the run.
+        given: as of ``Witnesses``.
+
+    Attributes:
+        cells, alone: as in ``Evidence``, after the last scan.
+        verdict: of the rules.
+        over: whether later scans change nothing.
+        complete: whether the evidence was asked for after the labels.
+    """
+
+    def __init__(self, asked: Asked, removed: Bool, given: Mapping[str, float]) -> None:
         self.asked = asked
-        self.which = which
-        self.removed = np.zeros(len(which), np.bool_)
+        self.removed = removed
+        self.cells = np.empty((0, 2, 3))
+        self.alone = False
         self.verdict = Verdict()
         self.over = False
+        self.complete = False
         self._given = given
         self._sums: tuple[Summed, ...] = ()
         self._bits: dict[str, list[U8]] = defaultdict(list)
@@ -259,9 +285,12 @@ class _Asked:
 
     def add(self, evidence: Evidence, judged: bool = False) -> None:
         """Keep the numbers after one more scan, or after the label."""
+        self.complete = judged
         if self.verdict.final:
             return
         self.over = evidence.final
+        self.alone = evidence.alone
+        self.cells = evidence.cells
         if not judged:
             self._sums = sums_of(evidence, self._given)
             for quantity in evidence.quantities:

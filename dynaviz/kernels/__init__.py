@@ -20,11 +20,12 @@ type: a bare 0 compiles these twice.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.util
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
@@ -43,6 +44,7 @@ __all__ = [
     "compiled",
     "each",
     "load",
+    "one_thread",
     "set_threads",
     "threading_layer",
     "threads_in_use",
@@ -137,6 +139,17 @@ def threads_in_use() -> int:
     return int(numba().get_num_threads())
 
 
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Let kernels use one thread: for little work, starting others would take most of the time."""
+    threads = threads_in_use()
+    set_threads(1)
+    try:
+        yield
+    finally:
+        set_threads(threads)
+
+
 def each(call: Callable[[T], R], items: Iterable[T]) -> list[R]:
     """The results of a call for each item. This thread and others take the items in order.
 
@@ -150,8 +163,7 @@ def each(call: Callable[[T], R], items: Iterable[T]) -> list[R]:
         for number, item in waiting:  # the threads share the iterator
             results[number] = call(item)
 
-    set_threads(1)
-    try:
+    with one_thread():
         with ThreadPoolExecutor(
             max(threads - 1, 1), initializer=set_threads, initargs=(1,)
         ) as pool:
@@ -159,8 +171,6 @@ def each(call: Callable[[T], R], items: Iterable[T]) -> list[R]:
             work()
         for other in others:
             other.result()
-    finally:
-        set_threads(threads)
     return [results[number] for number in sorted(results)]
 
 

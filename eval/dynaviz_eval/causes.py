@@ -6,12 +6,13 @@ methods, and a method needs to declare nothing.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from enum import StrEnum
 
 import numpy as np
 
-from dynaviz.arrays import Intp
+from dynaviz.arrays import F32, F64, I64, Intp
 from dynaviz.contracts.looks import CountedLooks, Look
 from dynaviz.contracts.method import Cause as Word
 from dynaviz.scores.looks import CaseLooks
@@ -62,42 +63,68 @@ RULES = {
 
 def looks_of(seen: CountedLooks, rows: Intp) -> CaseLooks:
     """The looks at the sampled points of a case, (K,) rows, K >= 1, of what was seen."""
-    counts = seen.counts[rows]
-    total = counts.sum(0)
-    through = seen.through[rows]
-    passes = int(through.sum())
-    every = max(int(total.sum()), 1)
-    share = [round(100.0 * float(count) / every, 1) for count in total]
-    known = seen.angle_known[rows]
-    passes_known = int(through[known].sum())
-
-    def of_passes(part: int, whole: int = passes) -> float | None:
-        return round(100.0 * part / whole, 1) if whole else None
-
-    mover = seen.mover[rows]
-    ever = seen.mover_ever[rows]
-    return CaseLooks(
-        points=len(rows),
-        hit=share[Look.HIT],
-        through=round(share[Look.THROUGH] + share[Look.GRAZING], 1),
-        hidden=share[Look.HIDDEN],
-        between=share[Look.BETWEEN],
-        outside=share[Look.OUTSIDE],
-        seen_through=round(100.0 * float(np.mean(through > 0)), 1),
-        hits=float(np.median(counts[:, Look.HIT])),
-        throughs=float(np.median(through)),
-        grazing=of_passes(int(total[Look.GRAZING]), passes_known),
-        close=of_passes(int(seen.close[rows].sum())),
-        before=of_passes(int(seen.before[rows].sum())),
-        after=of_passes(int(seen.after[rows].sum())),
-        surface=round(100.0 * float(known.mean()), 1),
-        mover=_metres(float(np.median(mover))),
-        mover_ever=_metres(float(np.median(ever))),
-    )
+    (looks,) = looks_of_parts(seen, rows[None])
+    return looks
 
 
-def _metres(distance: float) -> float | None:
-    return round(distance, 2) if np.isfinite(distance) else None
+def looks_of_parts(seen: CountedLooks, parts: Intp) -> list[CaseLooks]:
+    """The same for H parts of a case with equally many points, (H, K) rows, K >= 1."""
+    counts = seen.counts[parts]
+    total = counts.sum(1)
+    every = np.maximum(total.sum(1), 1)
+    share = [_rounded(100.0 * count / every) for count in total.T]
+    through = seen.through[parts]
+    passes = through.sum(1)
+    known = seen.angle_known[parts]
+    grazing = _of(total[:, Look.GRAZING], np.where(known, through, 0).sum(1))
+    close = _of(seen.close[parts].sum(1), passes)
+    before = _of(seen.before[parts].sum(1), passes)
+    after = _of(seen.after[parts].sum(1), passes)
+    seen_through = _rounded(100.0 * (through > 0).mean(1))
+    surface = _rounded(100.0 * known.mean(1))
+    hits = np.median(counts[:, :, Look.HIT], axis=1)
+    throughs = np.median(through, axis=1)
+    mover = _metres(seen.mover[parts])
+    mover_ever = _metres(seen.mover_ever[parts])
+    return [
+        CaseLooks(
+            points=parts.shape[1],
+            hit=share[Look.HIT][part],
+            through=round(share[Look.THROUGH][part] + share[Look.GRAZING][part], 1),
+            hidden=share[Look.HIDDEN][part],
+            between=share[Look.BETWEEN][part],
+            outside=share[Look.OUTSIDE][part],
+            seen_through=seen_through[part],
+            hits=float(hits[part]),
+            throughs=float(throughs[part]),
+            grazing=grazing[part],
+            close=close[part],
+            before=before[part],
+            after=after[part],
+            surface=surface[part],
+            mover=mover[part],
+            mover_ever=mover_ever[part],
+        )
+        for part in range(len(parts))
+    ]
+
+
+def _rounded(shares: F64) -> list[float]:
+    return [round(share, 1) for share in shares.tolist()]
+
+
+def _of(some: I64, every: I64) -> list[float | None]:
+    """Shares in percent; None of nothing."""
+    return [
+        round(100.0 * part / whole, 1) if whole else None
+        for part, whole in zip(some.tolist(), every.tolist(), strict=True)
+    ]
+
+
+def _metres(distances: F32) -> list[float | None]:
+    """The median of each row of (H, K) distances; None where it is infinite."""
+    middle = np.median(distances, axis=1).tolist()
+    return [round(each, 2) if math.isfinite(each) else None for each in middle]
 
 
 def cause_of(kind: str, looks: CaseLooks | None, word: Word | None = None) -> MeasuredCause:
@@ -128,10 +155,8 @@ def near_cause(
     """
     rng = np.random.default_rng(0)
     half = len(rows) // 2
-    found: Counter[MeasuredCause] = Counter()
-    for _ in range(HALVES):
-        looks = looks_of(seen, rng.permutation(rows)[:half])
-        found[cause_of(kind, looks, word)] += 1
+    halves = np.stack([rng.permutation(rows)[:half] for _ in range(HALVES)])
+    found = Counter(cause_of(kind, looks, word) for looks in looks_of_parts(seen, halves))
     del found[cause]
     if not found:
         return None

@@ -19,7 +19,7 @@ from dynaviz.contracts.method import Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.looks import Ceiling, Estimate, ObjectCeiling
-from dynaviz_eval.causes import cause_of, looks_of
+from dynaviz_eval.causes import cause_of, looks_of_parts
 from dynaviz_eval.samples import POINT, Sample, likely, priorities, records
 
 POINTS = 2500  # dynamic points that stand for all
@@ -110,10 +110,11 @@ class Evident:
     ) -> Mapping[str, Estimate]:
         """Wrong points by cause, in percentage points of the score that they cost."""
         counts = Counter[str]()
-        for row in rows.tolist():
-            code = int(self._sample["reason"][row])
-            word = self._reasons[code].cause if code < len(self._reasons) else None
-            counts[str(cause_of(kind, looks_of(seen, np.array([row])), word))] += 1
+        words = [reason.cause for reason in self._reasons]
+        codes = self._sample["reason"][rows].tolist()
+        for code, looks in zip(codes, looks_of_parts(seen, rows[:, None]), strict=True):
+            word = words[code] if code < len(words) else None
+            counts[str(cause_of(kind, looks, word))] += 1
         return {
             cause: share(count, len(rows), part, whole) for cause, count in counts.most_common()
         }

@@ -36,7 +36,7 @@ from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz_methods.dufomap.voids import VoidGrid, VoidMarks
-from dynaviz_methods.shared.lookups import around, marked
+from dynaviz_methods.shared.lookups import MarkedBlocks, around
 
 SHARED = kernels.load("dynaviz_methods.shared.kernels")
 
@@ -164,6 +164,7 @@ class DufoMap:
         voxels, within = located = self._located(scan)
         self._last = scan.index, located
         self._seen = seen = self._grid.see(scan, voxels, within & (voxels >= 0))
+        self._marked: MarkedBlocks | None = None  # made when evidence is asked for
         SHARED.voids.remember(
             seen.blocks, seen.hit, seen.observed, seen.void, self._seen_free, self._crossed
         )
@@ -201,8 +202,11 @@ class DufoMap:
         voxels = self._grid.locate(asked.points)
         margin = self.params.unknown_margin
         cubes = around(self._grid, voxels, margin)
-        observed = marked(seen.blocks, seen.observed, cubes.ravel()).reshape(cubes.shape).sum(1)
-        own, hit = (marked(seen.blocks, bits, voxels) for bits in (seen.observed, seen.hit))
+        if self._marked is None:
+            self._marked = MarkedBlocks(seen.blocks)
+        marked = self._marked
+        observed = marked.read(seen.observed, cubes.ravel()).reshape(cubes.shape).sum(1)
+        own, hit = (marked.read(bits, voxels) for bits in (seen.observed, seen.hit))
         void = ~hit & (observed >= cubes.shape[1])
         saw = Quantity("saw", np.where(hit, 0.0, np.where(own, 1.0 + void, np.nan)), legend=SAW)
         count = Quantity("observed", np.where(own, observed, np.nan), threshold=cubes.shape[1])

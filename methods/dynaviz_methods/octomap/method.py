@@ -38,7 +38,7 @@ from dynaviz.contracts.params import require
 from dynaviz.contracts.probe import Mask, Plane, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz_methods.octomap.filters import ground_plane, outliers
-from dynaviz_methods.shared.lookups import known, marked
+from dynaviz_methods.shared.lookups import MarkedBlocks, known
 
 KERNELS = kernels.load("dynaviz_methods.octomap.kernels")
 
@@ -220,6 +220,7 @@ class OctoMap:
         marks = self._grid.mark(scan, casts=self._casts(noise, ground), hits=~ground)
         KERNELS.log_odds.update(self._log_odds, self._ever, marks.blocks, marks.bits, *self._logits)
         self._marks = marks
+        self._marked: MarkedBlocks | None = None  # made when evidence is asked for
         if any(self._probe.wants(state.name) for state in STATES[:3]):
             self._show(marks)
 
@@ -252,8 +253,11 @@ class OctoMap:
         voxels = self._grid.locate(asked.points)
         log_odds = known(self._log_odds.ravel()[voxels], voxels)
         rule = Rule("free", (Term("log-odds", log_odds, "<", 0.0), *self._exceptions(asked)))
+        if self._marked is None:
+            self._marked = MarkedBlocks(self._marks.blocks)
+        marked = self._marked
         steps = tuple(
-            Step(name, parameter, marked(self._marks.blocks, bits, voxels))
+            Step(name, parameter, marked.read(bits, voxels))
             for name, parameter, bits in (
                 ("crossed", "prob_miss", self._marks.bits[:, :8]),
                 ("hit", "prob_hit", self._marks.bits[:, 8:]),

@@ -18,24 +18,29 @@ def known(values: ArrayLike, voxels: I64) -> F64:
     return found
 
 
-def marked(blocks: I32, bits: NDArray[Any], voxels: I64) -> Bool:
-    """(K,) bool: whether the bits of voxels (K,) are set, given some blocks (B,), in any order, and
-    their bits (B, 8).
+class MarkedBlocks:
+    """Looks up bits of the blocks that a scan marked.
 
-    False for -1, and in all other blocks.
+    Args:
+        blocks: (B,) int32, without duplicates, in any order.
     """
-    if not len(blocks) or not len(voxels):
-        return np.zeros(len(voxels), np.bool_)
-    wanted, which = np.unique(voxels >> 9, return_inverse=True)
-    at = np.searchsorted(wanted, blocks)
-    here = np.flatnonzero(wanted[np.minimum(at, len(wanted) - 1)] == blocks)
-    row_of = np.full(len(wanted), -1)
-    row_of[at[here]] = here
-    rows = row_of[which]
-    found: Bool = (rows >= 0) & (
-        bits.view(np.int64)[rows, voxels >> 6 & 7] >> (voxels & 63) & 1 > 0
-    )
-    return found
+
+    def __init__(self, blocks: I32) -> None:
+        self._order = np.argsort(blocks)
+        self._sorted = blocks[self._order]
+
+    def read(self, bits: NDArray[Any], voxels: I64) -> Bool:
+        """(N,) bool: whether the bits (B, 8) of voxels (N,) are set.
+
+        False for -1, and in all other blocks.
+        """
+        if not len(self._sorted):
+            return np.zeros(len(voxels), np.bool_)
+        blocks = voxels >> 9
+        at = np.minimum(np.searchsorted(self._sorted, blocks), len(self._sorted) - 1)
+        words = bits.view(np.int64)[self._order[at], voxels >> 6 & 7]
+        found: Bool = (self._sorted[at] == blocks) & (words >> (voxels & 63) & 1 > 0)
+        return found
 
 
 def around(grid: BlockGrid, voxels: I64, margin: int = 1) -> I64:
