@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -38,7 +39,8 @@ SPAN = 20.0
 ONE_PATCH = (
     0.9  # of the points of a case: with fewer in its largest patch, it is described as patches
 )
-LOOKED_AT = 128  # points of each listed case at which looks are taken
+LOOKED_AT = 128  # points of a listed case at which looks are taken, on average at most
+MOST_LOOKED_AT = 512  # points of one case
 SHOWN = 0.25  # of the looks at a case in a frame: fewer are not shown over time
 NOT_LISTED = "not listed, not measured"
 NO_REASON = Reason("unknown code", "the method gives no known reason")
@@ -68,7 +70,7 @@ class FailuresMetric:
                 len(info.reasons) + 1,
                 span,
                 partial(self._drop, kind),
-                sampled=LOOKED_AT,
+                sampled=MOST_LOOKED_AT,
                 objects=kind == "false_negative",
             )
             for kind, span in spans.items()
@@ -207,7 +209,7 @@ class FailuresMetric:
                 rows, largest, into = gathered(rows, SPAN)
                 sample = sample.copy()
                 sample["group"] = [into.get(case, case) for case in sample["group"].tolist()]
-                sample = smallest(sample, LOOKED_AT)
+                sample = smallest(sample, MOST_LOOKED_AT)
             for case in summed(rows):
                 number = int(case["case"])
                 cost = float(percentage_points_lost(int(case["points"]), self._totals[kind]))
@@ -218,7 +220,7 @@ class FailuresMetric:
                     )
                 )  # fmt: skip
         every.sort(key=_Found.order)
-        self._found = every[:KEEP]
+        self._found = looked_at(every[:KEEP])
         for found in every[KEEP:]:
             self._drop(found.kind, np.atleast_1d(found.case))
 
@@ -281,7 +283,7 @@ class FailuresMetric:
             spans = {**spans, **spans_of_looks(self._seen.by_frame[number])}
         cause = cause_of(kind, looks, reason.cause)
         near = None
-        if self._seen is not None and LOOKED_AT <= len(rows) < case["points"]:
+        if self._seen is not None and 0 < len(rows) < case["points"]:
             near = near_cause(kind, self._seen, rows, cause, reason.cause)
         known = facts(case, names, self._grounded)
         described = FailureCase(
@@ -326,6 +328,20 @@ class _Found:
         """Costliest first."""
         low = [round(float(value), 2) for value in self.case["low"]]
         return -self.cost, self.kind, int(self.case["first"]), low
+
+
+def looked_at(listed: list[_Found]) -> list[_Found]:
+    """Cases with the points at which looks are taken: as many of each, if it has so many.
+
+    All points of small cases, and more of large ones where few cases are listed.
+    """
+    sizes = np.array([len(found.sample) for found in listed], np.int64)
+
+    def total(most: int) -> int:
+        return int(np.minimum(sizes, most).sum())
+
+    wanted = bisect_right(range(MOST_LOOKED_AT + 1), KEEP * LOOKED_AT, key=total) - 1
+    return [replace(found, sample=smallest(found.sample, wanted)) for found in listed]
 
 
 def spans_of_looks(by_frame: I32) -> Spans:

@@ -317,3 +317,21 @@ def test_the_most_frequent_look_is_shown_over_time_if_it_is_a_quarter(
 ) -> None:
     counts = np.array([[hit, through, grazing, hidden, unknown, 0]], np.int32)
     assert spans_of_looks(counts) == ({} if shown is None else {shown: ((0, 0),)})
+
+
+@pytest.mark.parametrize(
+    ("sizes", "looked_at"),
+    [
+        ([700, 327, 3], [512, 327, 3]),
+        ([600] * 100, [128] * 100),
+        ([600] * 50 + [28] * 50, [228] * 50 + [28] * 50),
+    ],
+)
+def test_looks_are_taken_at_as_many_points_of_each_case(
+    sizes: list[int], looked_at: list[int]
+) -> None:
+    points = np.concatenate([cube(size, k, 5.0 * k) for k, size in enumerate(sizes)])
+    metric = FailuresMetric(INFO)
+    metric.update(labelled(0, points, 1, False))
+    groups = metric.places().groups
+    assert np.bincount(groups[groups >= 0]).tolist() == looked_at

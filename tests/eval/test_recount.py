@@ -18,7 +18,9 @@ METHODS = (
 REAL = {
     "KITTI 0011": "kitti_tracking/training/velodyne/0011",
     "KITTI 0012": "unified/kitti_tracking_0012",
+    "SemanticKITTI": "semantickitti/sequences/08",
     "nuScenes": "nuscenes",
+    "Argoverse 2": "argoverse2",
 }
 
 
@@ -41,7 +43,7 @@ def test_causes_and_behaviours_hold_at_other_points(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["street_hdl64?frames=50", "hall_vlp16_real?frames=40"])
+@pytest.mark.parametrize("scene", ["demo", "hall_vlp16_real?frames=40"])
 def test_both_hold_for_all_methods(scene: str, tmp_path: Path) -> None:
     check(f"simulate:{scene}", METHODS, tmp_path, 300)
 

@@ -17,7 +17,7 @@ ALL = 1 << 22  # points of a case
 def members(run: Run, scans: Sequence[Scan]) -> dict[tuple[int, int], int]:
     """By frame and row of a wrong point, the number of its case, 1 for the first."""
     labels = run.labeller
-    with mock.patch.object(failures, "LOOKED_AT", ALL):
+    with mock.patch.multiple(failures, LOOKED_AT=ALL, MOST_LOOKED_AT=ALL):
         metric = failures.FailuresMetric(registry.load("methods", run.result.method).info)
         for frame, scan in enumerate(scans):
             answer = labels.label(scan)

@@ -28,7 +28,7 @@ from helpers.reference.looks import GRAZING, HIT, NAMES, THROUGH, Returns
 SAMPLE = 128
 LEAST = 64  # other points than those of the run; else these count as well
 DRAWN = 200  # samples of the points of a case
-RUN = failures.LOOKED_AT  # points that the run looked at
+MOST = failures.MOST_LOOKED_AT  # points of a case that a run looks at
 
 
 @dataclass(frozen=True)
@@ -115,10 +115,13 @@ class Surroundings:
 
 
 def points_of_cases(folder: Path, scans: list[Scan]) -> list[CasePoints]:
-    """Up to ``SAMPLE`` points of each listed case, if possible others than those of the run."""
+    """Up to ``SAMPLE`` points of each listed case that its run did not look at.
+
+    All points of a case that has too few others.
+    """
     run = open_run(folder)
     labels = run.labeller
-    with mock.patch.object(failures, "LOOKED_AT", 4 * RUN):
+    with mock.patch.multiple(failures, LOOKED_AT=2 * MOST, MOST_LOOKED_AT=2 * MOST):
         metric = failures.FailuresMetric(registry.load("methods", run.result.method).info)
         for k, scan in enumerate(scans):
             answer = labels.label(scan)
@@ -130,9 +133,10 @@ def points_of_cases(folder: Path, scans: list[Scan]) -> list[CasePoints]:
     every = []
     for number, (case, sample) in enumerate(zip(cases, found, strict=True), 1):
         sample = sample[np.argsort(sample["priority"])]
-        assert len(sample) == min(case.points, 4 * RUN), f"case {number} has other points"
-        others = sample[RUN:] if len(sample) >= RUN + LEAST else sample
-        chosen = others[:SAMPLE]
+        assert len(sample) == min(case.points, 2 * MOST), f"case {number} has other points"
+        taken = case.looks.points if case.looks else 0
+        others = sample[taken : taken + SAMPLE]
+        chosen = others if len(others) >= LEAST else sample
         check_points(case, chosen, scans, labels)
         points = chosen["xyz"].astype(float)
         every.append(CasePoints(folder, number, case, points, chosen["frame"].astype(int)))
