@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 
 import dynaviz as dv
@@ -17,6 +18,7 @@ from dynaviz.scores.failure_case import FailureCase
 pytestmark = pytest.mark.slow
 
 DEMO = "simulate:demo"
+KITTI = "kitti_tracking/training/velodyne/0011"
 NEVER = "no ray through most of it"
 
 
@@ -89,6 +91,35 @@ def test_a_kept_point_of_erasor_has_the_terms_that_failed_scan_by_scan(runs):
     texts = [row.text for each in ledgers for row in deciding_scans(each)]
     failed = [text for text in texts if re.search(r"points in its bin \d+ of \d+", text)]
     assert len(failed) > 10
+
+
+@pytest.mark.filterwarnings("ignore:.*poses drift")
+def test_a_surface_far_from_movers_has_none_in_its_cell(runs, real_data):
+    """Surfaces 16 m from any dynamic point were "shared cell"."""
+    run = runs("seethrough", str(real_data / KITTI))
+    drive = dv.open(real_data / KITTI)
+    scans = [drive[k] for k in range(len(drive))]
+    movers = [scan.points[scan.labels == 1] for scan in scans]
+    far = 0
+    for case in run.result.failures:
+        if case.kind == "false_positive":
+            near = np.concatenate(movers[case.first_frame : case.last_frame + 1])
+            outside = np.maximum(np.maximum(case.low - near, near - case.high), 0)
+            if np.linalg.norm(outside, axis=1).min(initial=np.inf) > 3:
+                far += 1
+                assert "a mover" not in case.cause
+    assert far > 20
+
+
+@pytest.mark.filterwarnings("ignore:.*poses drift")
+def test_what_an_object_hid_itself_does_not_lack_a_background(runs, real_data):
+    """Car 1 was "nothing behind": 91 % of the looks are hidden by the car itself."""
+    case = kept(runs("seethrough", str(real_data / KITTI)), "car 1")
+    assert case.looks.hidden > 80
+    assert case.looks.outside < 5
+    assert case.looks.seen_through >= 50
+    assert case.cause == "seen through, but the method demands more"
+    assert "hit by 0 other scans, seen through by 1" in case.sentence
 
 
 def test_behaviour_is_that_of_the_frames_of_the_case(runs, real_data):
