@@ -145,7 +145,7 @@ def flip(ledger: PointLedger) -> str:
         return ""
     away = abs(value - term.threshold)
     unit = f" {term.unit}" if term.unit else ""
-    text = f"The threshold is {number(away)}{unit} away"
+    text = f"The threshold is {number(away)}{unit} away" if away else "It is at the threshold"
     scans = _scans_to_flip(ledger, term, away)
     if scans is None:
         return f"{text}."

@@ -82,9 +82,9 @@ def _rest(
     others = len(ledger.entries) - sum(row.scans for row in rows)
     parts = []
     if left_out:
-        parts.append(f"{left_out:,} more scans decided as well")
+        parts.append(f"{left_out:,} more scan{'s' * (left_out > 1)} decided as well")
     if others:
-        parts.append(f"{others:,} scans touched it without effect")
+        parts.append(f"{others:,} scan{'s' * (others > 1)} touched it without effect")
     return f"{'; '.join(parts)}. --json lists all." if parts else None
 
 
