@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dynaviz.cleaning.reviewing import review
     from dynaviz.diagnosis import doctor
     from dynaviz.errors import DataError, UsageError
-    from dynaviz.explorer import explore
+    from dynaviz.explorer import explore, export_page
     from dynaviz.online import live
     from dynaviz.reports.reporting import report
     from dynaviz.runs.explanation import why
@@ -35,6 +35,7 @@ __all__ = [
     "compare",
     "doctor",
     "explore",
+    "export_page",
     "live",
     "open",
     "report",
@@ -51,6 +52,7 @@ _HOMES = {
     "compare": "dynaviz.api",
     "doctor": "dynaviz.diagnosis",
     "explore": "dynaviz.explorer",
+    "export_page": "dynaviz.explorer",
     "live": "dynaviz.online",
     "open": "dynaviz.api",
     "report": "dynaviz.reports.reporting",

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.options import run_in
+from dynaviz.cli.options import refuse, run_in
 
 
 def explore(
@@ -31,6 +31,13 @@ def explore(
             help="Port on this machine. [default: any free one]",
         ),
     ] = 0,
+    export: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PAGE.html",
+            help="Write the page as one file that opens offline and without dynaviz, and exit.",
+        ),
+    ] = None,
     browser: Annotated[
         bool, typer.Option(help="Open the page in a browser if there is a screen.")
     ] = True,
@@ -42,9 +49,14 @@ def explore(
     \b
     dynaviz explore recordings/demo/octomap
     dynaviz explore recordings/demo/octomap recordings/demo/octomap_gf
+    dynaviz explore recordings/demo/octomap --export octomap.html
     """
     import webbrowser
 
+    if export is not None:
+        refuse({"case": case, "port": port}, "--export")
+        _export(export, [run, *(others or ())])
+        return
     from dynaviz.explorer import explore as start
     from dynaviz.views.viewer import has_screen
 
@@ -54,3 +66,12 @@ def explore(
         if browser and has_screen():
             webbrowser.open(url)
         server.wait()
+
+
+def _export(page: Path, runs: list[Path]) -> None:
+    from dynaviz.cli.console import progress, show
+    from dynaviz.explorer import export_page
+
+    with progress("explore", unit="cases") as report:
+        export_page(page, *map(run_in, runs), progress=report)
+    show(f"Written to {page}. It opens in any browser, offline.")

@@ -7,7 +7,10 @@ Private: other packages do not import it.
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from dynaviz.progress import Progress, silent
 
 if TYPE_CHECKING:
     from dynaviz.explorer.server import Explorer
@@ -43,3 +46,34 @@ def explore(
     from dynaviz.explorer.server import Explorer
 
     return Explorer(Explored(*map(ExploredRun, (run, *others))), port)
+
+
+def export_page(
+    path: str | os.PathLike[str],
+    run: str | os.PathLike[str] | Result,
+    *others: str | os.PathLike[str] | Result,
+    progress: Progress = silent,
+) -> Path:
+    """Write the page of a run as one HTML file, for people without dynaviz.
+
+    It opens offline, with the cases, their pictures, and the evidence and ledgers that the
+    recording stores.
+
+    Args:
+        path: of the file, which ends in ``.html``.
+        run, others: as for ``explore``.
+        progress: called with ``export``, the number of finished cases, and their number.
+
+    Returns:
+        The file.
+
+    Raises:
+        DataError: as ``explore``, or if the file cannot be written.
+        UsageError: as ``explore``, or if the name does not end in ``.html``.
+    """
+    from dynaviz.explorer import sent
+    from dynaviz.explorer.answers import Explored
+    from dynaviz.explorer.run import ExploredRun
+
+    sent.checked(path)
+    return sent.write_page(path, Explored(*map(ExploredRun, (run, *others))), progress)

@@ -56,6 +56,7 @@ class Explored:
 
     Attributes:
         runs: by letter.
+        cards: the cases of each run, by its letter.
         answers: by name, a function from a query to plain JSON types.
         changes: by name, a function from a query to plain JSON types, which writes a file.
         contents: by name, a function from a query to the content of a file, and its media type.
@@ -76,7 +77,7 @@ class Explored:
                     "the same frames"
                 )
         self.runs = dict(zip(LETTERS, [run, *others], strict=False))
-        self._cards = {letter: cards.cards(each) for letter, each in self.runs.items()}
+        self.cards = {letter: cards.cards(each) for letter, each in self.runs.items()}
         self._reruns: list[Rerun] = []
         self._reviews: dict[str, ReviewPage] = {}
         self.compare: Callable[[ExploredRun, ExploredRun], str] = _unserved
@@ -132,7 +133,7 @@ class Explored:
         run = self.runs[letter]
         others = {key: other for key, other in self.runs.items() if key != letter}
         shared = {key: run.wrong_too(other) for key, other in others.items()}
-        same = {key: cards.pairs(run, self._cards[letter], self._cards[key]) for key in others}
+        same = {key: cards.pairs(run, self.cards[letter], self.cards[key]) for key in others}
         ceiling = run.result.sections.ceiling
         return {
             "title": run.title,
@@ -146,7 +147,7 @@ class Explored:
             "compares": run.compares,
             "path": shlex.quote(str(run.path)),
             "corrections": self._corrections(run),
-            "cases": [cards.plain(run, card, shared, same) for card in self._cards[letter]],
+            "cases": [cards.plain(run, card, shared, same) for card in self.cards[letter]],
         }
 
     def _click(self, query: Query) -> dict[str, Any]:
@@ -377,7 +378,7 @@ class Explored:
         owner = query.get("owner", letter)
         if owner not in self.runs:
             raise UsageError(f"run {owner}: choose from {', '.join(self.runs)}")
-        if not self._cards[owner]:
+        if not self.cards[owner]:
             low, high = _extent(run)
             with self._lock:
                 return focus.layout(MAP if kind == CASE else kind, "map", 0, low, high, None)
@@ -445,7 +446,7 @@ class Explored:
         return letter
 
     def _card(self, letter: str, number: int) -> cards.Card:
-        found = self._cards.get(letter, ())
+        found = self.cards.get(letter, ())
         if not 1 <= number <= len(found):
             raise UsageError(f"case {number}: the run has the cases 1 to {len(found)}")
         return found[number - 1]

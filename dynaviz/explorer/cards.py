@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -266,7 +266,7 @@ def surroundings(run: ExploredRun, card: Card, ledgers: Sequence[PointLedger]) -
     low = card.low - MAP_MARGIN
     high = card.high + MAP_MARGIN
     mine = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == card.case.worst_frame]]
-    xyz, outcome = _around(run, card)
+    xyz, outcome = _around(run, card.case.worst_frame)
     inside = ((xyz >= low) & (xyz <= high)).all(1)
     around = {each.name.lower(): xyz[inside & (outcome == each)] for each in Outcome}
     return {
@@ -284,8 +284,14 @@ def surroundings(run: ExploredRun, card: Card, ledgers: Sequence[PointLedger]) -
     }
 
 
-def picture(run: ExploredRun, card: Card, size: tuple[int, int]) -> bytes:
-    """A PNG of the case in its worst frame, as the first view of its layout shows it.
+def picture(
+    run: ExploredRun,
+    card: Card,
+    size: tuple[int, int],
+    place: tuple[int, F64, F64] | None = None,
+    kind: Literal[".png", ".webp"] = ".png",
+) -> bytes:
+    """A picture of the case in a frame, as the first view of its layout shows it.
 
     The wrong points on top.
 
@@ -293,21 +299,26 @@ def picture(run: ExploredRun, card: Card, size: tuple[int, int]) -> bytes:
         run: of the case.
         card: the case.
         size: width and height, pixels.
+        place: a frame, and the low and high corner of the box at which the eye looks, (3,) metres,
+            world frame; None for its worst frame.
+        kind: PNG, or WebP without loss.
     """
     import cv2
 
-    xyz, outcome = _around(run, card)
-    still = Still(card.low, card.high, size)
+    frame, low, high = place or (card.case.worst_frame, card.low, card.high)
+    xyz, outcome = _around(run, frame)
+    still = Still(low, high, size)
     still.draw(xyz, outcome, card.outcome)
-    return cv2.imencode(".png", still.pixels[:, :, ::-1])[1].tobytes()
+    lossless = [cv2.IMWRITE_WEBP_QUALITY, 101] if kind == ".webp" else []
+    return cv2.imencode(kind, still.pixels[:, :, ::-1], lossless)[1].tobytes()
 
 
-def _around(run: ExploredRun, card: Card) -> tuple[F32, U8]:
-    """Points of the map and of the case's worst frame.
+def _around(run: ExploredRun, frame: int) -> tuple[F32, U8]:
+    """Points of the map and of a frame.
 
     (N, 3) float32, metres, world frame, and their outcomes.
     """
-    drawn = run.drawn(card.case.worst_frame)
+    drawn = run.drawn(frame)
     kept = run.map
     if drawn is None:
         return kept, np.full(len(kept), Outcome.STATIC_KEPT, np.uint8)

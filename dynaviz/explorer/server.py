@@ -48,6 +48,7 @@ SCRIPTS = (
     "places.js",
     "rectangle.js",
     "review.js",
+    "server.js",
     "share.js",
     "state.js",
     "viewer.js",

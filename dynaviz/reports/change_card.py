@@ -24,7 +24,7 @@ from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.comparison.surfaces import SurfaceChange, SurfaceFate
 from dynaviz.views import paths
 from dynaviz.views.read.reader import DrawnPoints, RunRecording
-from dynaviz.views.read.still import Still
+from dynaviz.views.read.still import Still, spread
 
 LISTED = 10  # changes of a pair, at most
 SHOWN = ("SA", "DA", "AA")
@@ -330,13 +330,8 @@ def _strip(each: PlacedChange, worst: int, frames: I64, xyz: F32) -> Strip:
         worst: the worst frame of its case.
         frames, xyz: of the points of the case.
     """
-    known = np.unique(frames)
-    chosen = known[np.unique(np.linspace(0, len(known) - 1, FRAMES).round().astype(int))]
-    drawn = worst in known  # of a thinned case, perhaps no point
-    if len(chosen) == FRAMES and drawn and worst not in chosen:
-        chosen[np.argmin(np.abs(chosen[1:-1] - worst)) + 1] = worst
-    strip = Strip(np.unique(chosen).tolist())
-    rests = isinstance(each.change, SurfaceChange) and drawn
+    strip = Strip(spread(frames.tolist(), worst, FRAMES))
+    rests = isinstance(each.change, SurfaceChange) and worst in frames
     for frame in strip.frames:
         here = xyz[frames == (worst if rests else frame)].astype(np.float64)
         strip.low.append(here.min(0))

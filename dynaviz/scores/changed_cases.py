@@ -63,8 +63,8 @@ class ChangedCase:
 def changed_cases(now: Result, before: Result, recording: Path | None) -> list[ChangedCase]:
     """The cases that are new or grew, those that grew most first.
 
-    Of a baseline, only the costliest cases are known: a case that costs less than all of them, and
-    is not one of them, is not listed.
+    Of a baseline, only the costliest cases are known: a case that costs no more than any of them
+    may have been there before, and is not listed.
 
     Args:
         now: the later run.
@@ -80,7 +80,7 @@ def changed_cases(now: Result, before: Result, recording: Path | None) -> list[C
     for number, case in enumerate(now.failures, 1):
         same = [k for k, other in enumerate(known) if same_place(case, other)]
         change = ChangedCase(number, case, _take(left, same, case.cost), recording)
-        if change.grown >= WORTH and (same or case.cost > unknown):
+        if change.grown >= WORTH and case.cost > unknown:
             found.append(change)
     found.sort(key=lambda each: -each.grown)
     return found[:LISTED]

@@ -624,3 +624,111 @@ def test_a_review_is_done_by_keys(browser: Any, runs: dict[str, Path], tmp_path:
         assert page.tab.locator(".card[aria-current] .verdict").count() == 0
         assert not page.errors
         page.tab.close()
+
+
+class SentTab:
+    """A page that was sent as a file, opened where no request is answered.
+
+    Args:
+        browser: Chromium.
+        path: the file.
+    """
+
+    def __init__(self, browser: Any, path: Path) -> None:
+        self.context = browser.new_context(viewport={"width": 1400, "height": 900}, offline=True)
+        self.tab = self.context.new_page()
+        self.tab.set_default_timeout(MOST)
+        self.requests: list[str] = []
+        self.errors: list[str] = []
+        self.tab.on("request", lambda request: self.requests.append(request.url))
+        self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.tab.on("console", lambda message: self._hear(message))
+        self.tab.goto(path.as_uri())
+        self.tab.wait_for_selector("body[data-ready=viewer]")
+
+    def _hear(self, message: Any) -> None:
+        if message.type == "error":
+            self.errors.append(message.text)
+
+    @property
+    def left(self) -> list[str]:
+        """Requests for anything but the file itself."""
+        return [url for url in self.requests[1:] if not url.startswith(("data:", "blob:"))]
+
+    def wait(self, condition: str) -> None:
+        self.tab.wait_for_function(f"() => {condition}")
+
+
+TURN = """([part, name, value]) => {
+    const input = document.querySelector(`${part} input[name=${name}]`)
+    input.value = value
+    input.dispatchEvent(new Event('input'))
+}"""
+
+
+def test_a_page_that_was_sent_works_offline(
+    browser: Any, runs: dict[str, Path], cases: Any, tmp_path: Path
+) -> None:
+    sent = SentTab(browser, dv.export_page(tmp_path / "page.html", runs["fine"]))
+    tab = sent.tab
+    assert tab.locator(".card").count() == len(cases)
+    assert tab.inner_text("#case .sentence") == cases[0].sentence
+    tab.wait_for_selector("#case .strip")
+    tab.wait_for_selector("#point .strip")
+    assert tab.locator("#case .time").count() == 1
+    drawn = "[...document.querySelectorAll('img')].filter(image => image.offsetWidth)"
+    assert tab.evaluate(f"{drawn}.every(image => image.complete && image.naturalWidth > 1)")
+    frames = tab.locator(".frames button")
+    frames.last.click()  # a picture of another frame
+    last = int(frames.last.get_attribute("data-frame"))
+    sent.wait(f"explorer.viewers.a.time === {last}")
+    assert tab.evaluate("document.body.style.getPropertyValue('--frame')") == str(last)
+    tab.keyboard.press("j")
+    sent.wait("document.querySelector('.card[aria-current]').id !== 'card-a-1'")
+    tab.click("#card-a-1")
+    tab.wait_for_selector("#case .map .evidence")
+    before = tab.inner_text("#point h2")
+    for place in tab.evaluate(
+        "[...document.querySelectorAll('#case .map .pane')].map(pane => {"
+        "const { x, y, width, height } = pane.querySelector('.evidence').getBoundingClientRect();"
+        "return [[x + 2, y + 2], [x + width - 2, y + height - 2], [x + width - 2, y + 2]] }).flat()"
+    ):
+        tab.locator("#case .map").scroll_into_view_if_needed()
+        tab.mouse.click(*place)
+    assert tab.locator("#point .evidence").count() == 1
+    assert tab.inner_text("#point h2").startswith("Point ")
+    assert before.startswith("Point ")
+    tab.click("#dial summary")
+    tab.evaluate(TURN, ["#dial", "prob_miss", 0.45])
+    tab.wait_for_selector("#cards .would")
+    assert "prob_miss" in tab.inner_text("#dial .result")
+    tab.evaluate(TURN, ["#dial", "prob_hit", 0.6])  # one at a time: the other returns
+    sent.wait("document.querySelector('#dial .result').textContent.startsWith('prob_hit')")
+    assert float(tab.evaluate("document.querySelector('#dial input[name=prob_miss]').value")) == 0.4
+    tab.click("#case .sliders summary")
+    tab.evaluate(TURN, ["#case .sliders", "prob_miss", 0.49])
+    sent.wait("document.querySelector('#case .result').textContent.includes('would be removed')")
+    assert not tab.locator("button:has-text('Run with this'):visible").count()
+    assert not tab.locator("#review:visible").count()
+    assert not tab.locator("button:has-text('Picture')").count()
+    assert sent.left == []
+    assert sent.errors == []
+    sent.context.close()
+
+
+def test_two_runs_that_were_sent_show_the_case_of_each(
+    browser: Any, runs: dict[str, Path], tmp_path: Path
+) -> None:
+    page = dv.export_page(tmp_path / "two.html", runs["fine"], runs["coarse"])
+    sent = SentTab(browser, page)
+    assert sent.tab.locator(".still .large").count() == 2
+    sent.wait("[...document.querySelectorAll('.still .large')].every(image => image.naturalWidth)")
+    first, second = (
+        image.get_attribute("src") for image in sent.tab.locator(".still .large").all()
+    )
+    assert first != second
+    sent.tab.locator(".card").last.click()
+    sent.wait(f"document.querySelector('.still .large').src !== {first!r}")
+    assert sent.left == []
+    assert sent.errors == []
+    sent.context.close()

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynaviz.errors import DataError, UsageError
@@ -381,6 +381,31 @@ def test_of_a_baseline_only_the_stored_cases_are_known(tmp_path: Path) -> None:
     assert len(entry.failures) == STORED_CASES
     assert changed_cases(many, entry, None) == []  # the others may have been there before
     assert changed_cases(failing(case(15.0, -50.0)), entry, None)
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(st.floats(0.01, 20), st.integers(0, 12)), min_size=1, max_size=40))
+def test_a_run_that_did_not_change_has_no_changed_cases(places: list[tuple[float, int]]) -> None:
+    """Also if boxes of cases overlap, and if all but the costliest are forgotten."""
+    now = failing(*(case(cost, 0.3 * at) for cost, at in sorted(places, reverse=True)))
+    section = now.sections.failures
+    assert section is not None
+    kept = msgspec.structs.replace(section, cases=section.cases[:STORED_CASES])
+    stored = replace(now, sections=msgspec.structs.replace(now.sections, failures=kept))
+    assert changed_cases(now, stored, None) == []
+
+
+def test_the_baseline_of_this_repository_has_causes_and_cases() -> None:
+    entries = read_baseline(Path(__file__).parents[2] / "benchmarks/baseline.json")
+    assert len(entries) > 8
+    for entry in entries:
+        section = entry.sections.failures
+        assert section is not None
+        assert section.causes
+        costs = [each.cost for each in section.cases]
+        assert 0 < len(costs) <= STORED_CASES
+        assert costs == sorted(costs, reverse=True)
+        assert all(each.cause and each.sentence for each in section.cases)
 
 
 def test_reports_say_where(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 // The cards of the cases: filters, order, and the list.
 import { make, whole, words } from './dom.js'
 import { sparkline } from './plot.js'
+import { drawing } from './server.js'
 
 const RANGES = [['0-10', 0, 10], ['10-20', 10, 20], ['20-30', 20, 30], ['30-50', 30, 50], ['50+', 50, Infinity]]
 const SORTS = { cost: 'costliest first', size: 'most points first', frame: 'by worst frame' }
@@ -89,7 +90,7 @@ export function cardElement(card, runs, most, open, corrected, cost) {
   const { frames } = runs.a, several = Boolean(runs.b)
   const bins = card.spark.length, worst = Math.floor(card.worst * bins / Math.max(frames, 1))
   return make('li', { id: `card-${card.of}-${card.number}`, class: `card ${card.kind}`, tabindex: 0, click: () => open(card), keydown: event => event.key === 'Enter' && open(card) },
-    make('img', { src: `api/drawing?run=${card.of}&case=${card.number}&width=168&height=108`, width: 84, height: 54, alt: '', loading: 'lazy' }),
+    make('img', { src: drawing({ run: card.of, case: card.number, width: 168, height: 108 }), width: 84, height: 54, alt: '', loading: 'lazy' }),
     make('div', {},
       make('p', { class: 'head' }, `${card.number} ${card.title}`),
       make('p', { class: 'cause' }, !several && make('span', { class: 'cost' }, `${chip(card)} `), `${card.cause ?? Object.keys(card.reasons).slice(0, 2).map(words).join(', ')}`),

@@ -1,21 +1,28 @@
 // The dial: what other parameters would change in the whole run, estimated from a sample of its points.
 import { ask, make, say } from './dom.js'
 import { short } from './plot.js'
+import { served } from './server.js'
 
 const WIDTH = 250, HEIGHT = 130, LEFT = 34, BOTTOM = 26, TOP = 8, RIGHT = 8
 const LEAST = 4 // percent: the shortest axis
 
-/** Sliders for parameters. input(values): called with those that differ. */
+/** Sliders for parameters. input(values): called with those that differ. Without a server, only one differs at a time. */
 export function sliderRows(parameters, input) {
-  const values = Object.fromEntries(parameters.map(({ name, value }) => [name, value]))
+  const values = Object.fromEntries(parameters.map(({ name, value }) => [name, value])), restored = []
   return parameters.map(({ name, value, low, high, step }) => {
     const shown = make('output', {}, short(value))
     const slider = make('input', { type: 'range', name, min: low, max: high, step, 'aria-label': name, input: event => {
+      if (!served) for (const restore of restored) restore(name)
       values[name] = Math.abs(event.target.value - value) < step / 2 ? value : Number(event.target.value)
       shown.textContent = short(values[name])
       input(Object.fromEntries(parameters.filter(each => values[each.name] !== each.value).map(each => [each.name, values[each.name]])))
     } })
     slider.value = value
+    restored.push(turned => {
+      if (turned === name) return
+      values[name] = slider.value = value
+      shown.textContent = short(value)
+    })
     return make('label', {}, make('span', {}, name), slider, shown)
   })
 }
@@ -53,8 +60,9 @@ export async function showDial(element, letter, on) {
     trail.push(turned.scores)
     plot.replaceChildren(scorePlot(trail))
     text.textContent = turned.text
-    go.hidden = !Object.keys(values).length
-    on.turned(go.hidden ? null : turned.cases)
+    const same = !Object.keys(values).length
+    go.hidden = same || !served
+    on.turned(same ? null : turned.cases)
   })
   plot.append(scorePlot(trail))
   element.replaceChildren(make('details', { class: 'sliders' }, make('summary', {}, 'What other parameters would change'), plot, sliderRows(given.parameters, turn), text, go))

@@ -1,4 +1,5 @@
 // Small helpers to build the page.
+import { answered } from './server.js'
 
 /** An element: `make('a', {href: '#', class: 'b'}, 'text', child)`. Functions become listeners; false and null are left out. */
 export function make(name, attributes = {}, ...children) {
@@ -21,15 +22,11 @@ export function working() {
   return () => { done(); done = () => {} }
 }
 
-/** Ask the server; errors carry its message. While an answer is awaited, the page is marked as busy. */
+/** Ask a question; errors carry its message. While an answer is awaited, the page is marked as busy. */
 export async function ask(name, query = {}, method = 'GET') {
   const done = working()
   try {
-    const answer = await fetch(`api/${name}?${new URLSearchParams(query)}`, { method })
-    const plain = answer.headers.get('content-type')?.startsWith('application/json')
-    const content = plain ? await answer.json() : await answer.arrayBuffer()
-    if (!answer.ok) throw new Error(content.error ?? `The server answered ${answer.status}.`)
-    return content
+    return await answered(name, query, method)
   } finally {
     done()
   }

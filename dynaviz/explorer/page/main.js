@@ -4,6 +4,7 @@ import { ask, make, say, send, working } from './dom.js'
 import { correction, rescored } from './correct.js'
 import { showDial } from './dial.js'
 import { listen } from './keys.js'
+import { drawing, recording, served } from './server.js'
 import { button, buttons, copy } from './share.js'
 import { change, current, read } from './state.js'
 import { Viewer } from './viewer.js'
@@ -76,8 +77,9 @@ function highlight() {
 function showCard() {
   const card = selected()
   highlight()
-  showCase(by('case'), card, runs, card && buttons(card, runs[card.of]), card && correction(card, runs[card.of], { changed: corrected, scored: headings }),
-    (letter, points) => scansOf(letter, () => ({ case: card.number, ...(points && { points }) })), goTo)
+  showCase(by('case'), card, runs, card && buttons(card, runs[card.of]), card && served && correction(card, runs[card.of], { changed: corrected, scored: headings }),
+    (letter, points) => scansOf(letter, () => ({ case: card.number, ...(points && { points }) })), goTo,
+    row => explain(ask('point', { frame: card.worst, point: row }), true))
 }
 
 /** With other parameters, each card states what it would cost. */
@@ -143,7 +145,7 @@ async function open(card) {
   change({ of: card.of, case: card.number, layout: 'case', at: undefined, point: undefined })
   showCard()
   goTo(card.worst)
-  for (const preview of document.querySelectorAll('.preview')) preview.src = drawing(preview.dataset.run, preview)
+  for (const preview of document.querySelectorAll('.preview')) preview.src = pictureFor(preview.dataset.run, preview)
   await Promise.all([layOut(), card.point == null ? panel.hint() : explain(ask('point', { frame: card.worst, point: card.point }), false)])
 }
 
@@ -188,10 +190,9 @@ function openViewer(letter, frame) {
   if (selected()) {
     const preview = make('img', { class: 'preview', alt: 'the case, while the viewer is loading', 'data-run': letter })
     place.append(preview)
-    requestAnimationFrame(() => { preview.src = drawing(letter, place) }) // when all viewers have their size
+    requestAnimationFrame(() => { preview.src = pictureFor(letter, place) }) // when all viewers have their size
   }
-  const recording = fetch(`${letter}.rrd`).then(answer => answer.arrayBuffer())
-  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, ask('layout', { ...layoutQuery(letter), first: 1 })], frame, {
+  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording(letter), ask('layout', { ...layoutQuery(letter), first: 1 })], frame, {
     drawn: async () => {
       section.querySelector('.preview')?.remove()
       if (current().layout === 'case') await arrange(letter)
@@ -209,10 +210,10 @@ function openViewer(letter, frame) {
   })
 }
 
-/** A picture of the case that the server draws at once. */
-function drawing(letter, { clientWidth: width, clientHeight: height }) {
+/** A picture of the case for a place of the page. */
+function pictureFor(letter, { clientWidth: width, clientHeight: height }) {
   const { of, case: number } = current()
-  return `api/drawing?${new URLSearchParams({ run: letter, owner: of, case: number, width, height })}`
+  return drawing({ run: letter, owner: of, case: number, width, height })
 }
 
 /** Mark the page as busy from a click until the viewer reports it; on a busy machine it draws first. */
@@ -260,11 +261,11 @@ async function explain(answer, asked) {
   }
 }
 
-listen({
-  j: () => step(1), k: () => step(-1), f: () => layout('frame'), m: () => layout('map'), c: () => layout('case'),
-  space: () => Object.values(viewers)[0]?.play(!Object.values(viewers)[0].playing),
+const VIEWER_KEYS = {
+  f: () => layout('frame'), m: () => layout('map'), c: () => layout('case'), space: () => Object.values(viewers)[0]?.play(!Object.values(viewers)[0].playing),
   r: () => by('review').click(),
-  '/': () => by('filters').elements.search.focus(),
-})
+}
+by('review').parentElement.hidden = !served
+listen({ j: () => step(1), k: () => step(-1), '/': () => by('filters').elements.search.focus(), ...(served && VIEWER_KEYS) })
 addEventListener('unhandledrejection', event => say(event.reason.message))
 start()

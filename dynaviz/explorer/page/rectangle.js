@@ -1,18 +1,20 @@
 // The points of a case from above and from the side: a rectangle chooses those whose evidence is shown.
 import { make, whole } from './dom.js'
+import { served } from './server.js'
 
 const SHADES = { static_kept: 'static', unlabelled_kept: 'static', dynamic_removed: 'ghost removed', false_negative: 'ghost kept', false_positive: 'hole removed', unlabelled_removed: 'cluster' }
 const W = 340, GAP = 6
 const MOST = { beside: 150, below: 210 } // high
 const STEP = 0.05 // of a view, by which a key moves an edge
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }
-const HINT = 'Drag a rectangle for the evidence of the points inside; arrow keys move it, with Shift they size it, Escape removes it.'
+const HINT = served ? 'Drag a rectangle for the evidence of the points inside; arrow keys move it, with Shift they size it, Escape removes it.' : 'Click a large point to see why it got its label.'
+const REACH = 14 // from a click to a point
 
 /**
  * @param map as the server's surroundings; choose: called with the rows of the points with evidence that a rectangle
- *   contains, joined by commas, or with null for all
+ *   contains, joined by commas, or with null for all; pick: called with the row of a clicked point with evidence, without a server
  */
-export function caseMap({ size, outcome, points, around, evidence }, choose) {
+export function caseMap({ size, outcome, points, around, evidence }, choose, pick) {
   const [along, across] = size[0] >= size[1] ? [0, 1] : [1, 0] // the longer side lies horizontally
   const beside = Math.min((W - GAP) / 2 / size[along], MOST.beside / Math.max(size[across], size[2]))
   const below = Math.min(W / size[along], (MOST.below - GAP) / (size[across] + size[2]))
@@ -54,7 +56,13 @@ export function caseMap({ size, outcome, points, around, evidence }, choose) {
   }
   for (const view of views) {
     const pane = make('g', { class: 'pane', tabindex: 0, role: 'application', 'aria-label': `the case ${view.name}; ${HINT}`,
-      pointerdown: event => {
+      click: !served && (event => {
+        const [u, v] = share(event, view), at = [view.x + u * view.wide, view.y + v * view.high]
+        const far = ([, ...of]) => Math.hypot(...place(view, of).map((value, k) => value - at[k]))
+        const near = evidence.reduce((best, each) => far(each) < far(best) ? each : best, evidence[0])
+        if (near && far(near) < REACH) pick(near[0])
+      }),
+      pointerdown: served && (event => {
         pane.setPointerCapture(event.pointerId)
         const start = share(event, view)
         pane.onpointermove = event => put({ view, ends: [start, share(event, view)] }, false)
@@ -63,8 +71,8 @@ export function caseMap({ size, outcome, points, around, evidence }, choose) {
           const ends = [start, share(event, view)]
           put(Math.hypot((ends[1][0] - ends[0][0]) * view.wide, (ends[1][1] - ends[0][1]) * view.high) > 3 ? { view, ends } : null)
         }
-      },
-      keydown: event => {
+      }),
+      keydown: served && (event => {
         if (event.key === 'Escape') put(null)
         else if (KEYS[event.key]) {
           const [first, last] = drawn?.view === view ? drawn.ends : [[0.3, 0.3], [0.7, 0.7]]
@@ -72,7 +80,7 @@ export function caseMap({ size, outcome, points, around, evidence }, choose) {
           put({ view, ends: [event.shiftKey ? first : move(first), move(last)] })
         } else return
         event.preventDefault()
-      } },
+      }) },
     make('rect', { class: 'ground', x: view.x, y: view.y, width: view.wide, height: view.high }),
     ...Object.entries(around).filter(([name]) => name !== outcome).map(([name, list]) => dots(view, list, SHADES[name])),
     dots(view, points, SHADES[outcome]),

@@ -1,11 +1,13 @@
 // Copy the state of the page: as a link, a command, a picture or a clip.
 import { ask, make, say } from './dom.js'
+import { served } from './server.js'
 import { address } from './state.js'
 
 /** The buttons of a case. */
 export function buttons(card, run) {
   const query = { run: card.of, case: card.number }, name = `case-${card.number}`
   const command = `dynaviz view ${run.path} --case ${card.number} -o ${name}.png`
+  if (!served) return [button('Command', () => copy(command))]
   return [
     button('Link', () => copy(location.origin + address())),
     button('Command', () => copy(command)),

@@ -1,6 +1,7 @@
 // What other parameters would change at some points: the server judges their stored evidence again.
 import { ask, make, whole } from './dom.js'
 import { latest, sliderRows } from './dial.js'
+import { served } from './server.js'
 
 /**
  * Sliders for the parameters that enter.
@@ -18,8 +19,9 @@ export function sliders(whatIf, query, card, start) {
   }
   const rows = sliderRows(whatIf.parameters, latest(async values => {
     settings = values
-    go.hidden = !Object.keys(values).length
-    result.textContent = go.hidden ? '' : say((await ask('judge', { ...query, settings: JSON.stringify(values) })).removed)
+    const same = !Object.keys(values).length
+    go.hidden = same || !served
+    result.textContent = same ? '' : say((await ask('judge', { ...query, settings: JSON.stringify(values) })).removed)
   }))
   return make('details', { class: 'sliders' }, make('summary', {}, 'What would flip it'), rows, result, go)
 }

@@ -2,6 +2,7 @@
 import { ask, make, say, whole, words } from './dom.js'
 import { scanStrip, short, timeStrip } from './plot.js'
 import { caseMap } from './rectangle.js'
+import { served } from './server.js'
 import { sliders } from './whatif.js'
 
 const POLL = 400 // ms
@@ -20,8 +21,8 @@ function lanesOf(card, runs, rays) {
   return [lane('object', 'truth', card.spans), looks.states.length ? looks : lane('rays', 'rays', rays), ...answers].filter(({ states }) => states.length)
 }
 
-/** The chosen case; its evidence follows when it was read. on: by letter and the rows of chosen points, if not all, as for PointPanel; goTo: a frame. */
-export function showCase(element, card, runs, buttons, correction, on, goTo) {
+/** The chosen case; its evidence follows when it was read. on: by letter and the rows of chosen points, if not all, as for PointPanel; goTo: a frame; pick: explain the point in a row of its scan. */
+export function showCase(element, card, runs, buttons, correction, on, goTo, pick) {
   const run = runs[card?.of ?? 'a']
   if (!card) {
     element.replaceChildren(make('h2', {}, 'No case'), make('p', {}, run.truth ? 'No labelled point is wrong.' : run.compares ? 'Nothing appeared or disappeared.' : 'No cluster of removed points.'))
@@ -60,7 +61,7 @@ export function showCase(element, card, runs, buttons, correction, on, goTo) {
       const chosen = points ? await ask('evidence', { run: card.of, case: card.number, points }) : found
       if (latest === points) show(chosen, points)
     }
-    evidence.append(strip, caseMap(found.map, points => choose(points).catch(error => say(error.message))), flip)
+    evidence.append(strip, caseMap(found.map, points => choose(points).catch(error => say(error.message)), pick), flip)
   }, error => evidence.append(make('p', { class: 'error' }, error.message)))
 }
 
@@ -76,7 +77,7 @@ export class PointPanel {
     this.hint()
   }
 
-  hint(text = 'Click a point in the viewer to see why it got its label.') {
+  hint(text = served ? 'Click a point in the viewer to see why it got its label.' : 'Click a large point of a case to see why it got its label.') {
     this.shown = null
     this.element.replaceChildren(make('h2', {}, 'Point'), make('p', { class: 'hint' }, text))
   }
@@ -120,6 +121,7 @@ export class PointPanel {
       const answer = await ask('why', { run: letter, frame: found.frame, point: found.point })
       if (this.shown !== found) return
       if (answer.why) this.#fill(element, letter, found, answer)
+      else if (!served) element.replaceChildren(make('p', { class: 'hint' }, 'No evidence is stored on this point.'))
       else if (clicked && (answer.seconds ?? PATIENCE) < PATIENCE) this.#replay(element, letter, found)
       else element.replaceChildren(this.#offer(element, letter, found, 'Show the scans that decided it', answer.seconds))
     } catch (error) {
@@ -135,7 +137,7 @@ export class PointPanel {
   #fill(element, letter, found, { why, metres }) {
     element.replaceChildren(...this.#ledgerParts(letter, why))
     if (metres) element.prepend(make('p', { class: 'hint' }, `Evidence on a point ${metres.toFixed(2)} m away, with the same label for the same reason. `,
-      make('button', { type: 'button', class: 'start', click: () => this.#replay(element, letter, found) }, 'Repeat the run for this one')))
+      served && make('button', { type: 'button', class: 'start', click: () => this.#replay(element, letter, found) }, 'Repeat the run for this one')))
     this.drawn(letter)
   }
 

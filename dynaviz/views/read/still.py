@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -83,6 +84,21 @@ class Still:
             column = width / 2 + scale * (offset @ right) / depth
             row = height / 2 - scale * (offset @ up) / depth
         return column, row, depth
+
+
+def spread(frames: Sequence[int], worst: int, most: int) -> list[int]:
+    """Some of the frames of a case, in order and evenly spread, the worst one among them.
+
+    Args:
+        frames: positions in the run, at least one.
+        worst: kept if it is one of them.
+        most: frames to choose, at most.
+    """
+    known = np.unique(np.asarray(frames))
+    chosen = known[np.unique(np.linspace(0, len(known) - 1, most).round().astype(int))]
+    if worst in known and worst not in chosen:
+        chosen[np.argmin(np.abs(chosen[1:-1] - worst)) + 1] = worst
+    return np.unique(chosen).tolist()  # type: ignore[no-any-return]
 
 
 def _axes() -> F64:
