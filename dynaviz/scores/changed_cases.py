@@ -13,6 +13,7 @@ from dynaviz.scores.result import Result
 STORED_CASES = 10  # of a run in a baseline, the costliest
 WORTH = 0.05  # percentage points: a smaller change of a case's cost is not listed
 LISTED = 10  # of a run, at most
+PAD = 0.1  # metres: boxes of flat cases have a volume
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,14 +77,35 @@ def changed_cases(now: Result, before: Result, recording: Path | None) -> list[C
     known = before.failures
     unknown = known[-1].cost if len(known) == STORED_CASES else 0.0
     left = [case.cost for case in known]
+    places = [_places(case, known) for case in now.failures]
+    # each case first takes what the most similar one cost, or one that grew would take from others
+    before = [
+        _take(left, same[:1], case.cost) for case, same in zip(now.failures, places, strict=True)
+    ]
     found = []
-    for number, case in enumerate(now.failures, 1):
-        same = [k for k, other in enumerate(known) if same_place(case, other)]
-        change = ChangedCase(number, case, _take(left, same, case.cost), recording)
+    for k, (case, same) in enumerate(zip(now.failures, places, strict=True)):
+        before[k] += _take(left, same[1:], case.cost - before[k])
+        change = ChangedCase(k + 1, case, before[k], recording)
         if change.grown >= WORTH and case.cost > unknown:
             found.append(change)
     found.sort(key=lambda each: -each.grown)
     return found[:LISTED]
+
+
+def _places(case: FailureCase, known: Sequence[FailureCase]) -> list[int]:
+    """Positions of the earlier cases of the same object or place, the most similar one first."""
+    same = [k for k, other in enumerate(known) if same_place(case, other)]
+    return sorted(same, key=lambda k: -_likeness(case, known[k]))
+
+
+def _likeness(case: FailureCase, other: FailureCase) -> float:
+    """How much of their boxes two cases share: 1 for the same box."""
+    shared = 1.0
+    joined = 1.0
+    for low, high, first, last in zip(case.low, case.high, other.low, other.high, strict=True):
+        shared *= max(min(high, last) - max(low, first), 0.0) + PAD
+        joined *= max(high, last) - min(low, first) + PAD
+    return shared / joined
 
 
 def _take(left: list[float], same: Sequence[int], cost: float) -> float:

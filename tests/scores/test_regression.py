@@ -395,6 +395,27 @@ def test_a_run_that_did_not_change_has_no_changed_cases(places: list[tuple[float
     assert changed_cases(now, stored, None) == []
 
 
+@settings(max_examples=60)
+@given(
+    st.lists(st.tuples(st.floats(1.0, 20), st.integers(0, 12)), min_size=1, max_size=STORED_CASES,
+             unique_by=lambda place: place[1]),
+    st.integers(0, STORED_CASES - 1),
+)  # fmt: skip
+def test_of_cases_that_overlap_only_the_one_that_grew_is_listed(
+    places: list[tuple[float, int]], which: int
+) -> None:
+    cases = [case(cost, 0.3 * at) for cost, at in sorted(places, reverse=True)]
+    grown = which % len(cases)
+    before = [replace_cost(each, 0.5 if k == grown else 1.0) for k, each in enumerate(cases)]
+    found = changed_cases(failing(*cases), failing(*before), None)
+    assert [each.number for each in found] == [grown + 1]
+    assert found[0].before == pytest.approx(0.5 * cases[grown].cost)
+
+
+def replace_cost(of: FailureCase, factor: float) -> FailureCase:
+    return msgspec.structs.replace(of, cost=factor * of.cost)
+
+
 def test_the_baseline_of_this_repository_has_causes_and_cases() -> None:
     entries = read_baseline(Path(__file__).parents[2] / "benchmarks/baseline.json")
     assert len(entries) > 8
