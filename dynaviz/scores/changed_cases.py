@@ -79,13 +79,13 @@ def changed_cases(now: Result, before: Result, recording: Path | None) -> list[C
     left = [case.cost for case in known]
     places = [_places(case, known) for case in now.failures]
     # each case first takes what the most similar one cost, or one that grew would take from others
-    before = [
+    cost = [
         _take(left, same[:1], case.cost) for case, same in zip(now.failures, places, strict=True)
     ]
     found = []
     for k, (case, same) in enumerate(zip(now.failures, places, strict=True)):
-        before[k] += _take(left, same[1:], case.cost - before[k])
-        change = ChangedCase(k + 1, case, before[k], recording)
+        cost[k] += _take(left, same[1:], case.cost - cost[k])
+        change = ChangedCase(k + 1, case, cost[k], recording)
         if change.grown >= WORTH and case.cost > unknown:
             found.append(change)
     found.sort(key=lambda each: -each.grown)
