@@ -280,8 +280,8 @@ def _not_compared(checker: ScanChecker) -> list[Finding]:
 
 
 _MISSING = (
-    "Give the sensor's poses: --poses FILE for files:PATH, or VIEWPOINT in PCD files. --poses "
-    "small-gicp estimates them"
+    "Give the poses of the sensor: --poses FILE (KITTI, TUM or CSV), or VIEWPOINT in PCD files. "
+    "Without such a file, --poses small-gicp estimates them"
 )
 _LIDAR = (
     "Give the pose of the lidar, not of the vehicle or the IMU, in the world frame of the points"
@@ -304,7 +304,8 @@ def _check_alignment(
     if found := check_units(checker.read, checker.with_points, checker.positions, checker.poses):
         yield found
         return
-    same = trajectory.identical(checker.poses) if len(checker.poses) > 1 else None
+    several = len(checker.poses) > 1
+    same = trajectory.identical(checker.poses, groups.posed) if several else None
     if same:
         for gap in (1, 10):
             if motion := placement.moving_clouds(groups.views(groups.pairs_apart(gap), progress)):
@@ -318,9 +319,9 @@ def _check_alignment(
     if not views and (apart := _not_compared(checker)):
         yield from apart
     elif explained := better_interpretation(views, others, distant):
-        yield rivals.weighed(*explained, views, near, groups.few.pose_path)
+        yield rivals.weighed(*explained, views, near, distant, groups.few.pose_path)
     elif up := next(upright.check_up(views, checker.poses), None):
-        yield rivals.weighed(None, up, views, near, None) if up.name in UPS else up
+        yield (up.name in UPS and rivals.mount_finding(views, near)) or up
     elif beside := rivals.upside_down(views, near):
         yield beside
     elif not same and (wrong := rivals.misplaced(views, near, groups.few.pose_path, SPARSE)):

@@ -15,6 +15,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress
+from dynaviz.sources.datasets.pose_matching import NO_POSES
 from dynaviz.sources.derived import Derived
 from dynaviz.sources.drive import Drive
 from dynaviz.sources.hypotheses.sizes import LONG_STEPS
@@ -75,9 +76,11 @@ class FrameGroups:
     Attributes:
         few: the sequence, with few points.
         checker: of the frames that were read.
+        posed: whether the sequence has poses; otherwise each scan is in its own frame.
     """
 
     def __init__(self, sequence: Drive) -> None:
+        self.posed = sequence.provenance.options.poses != NO_POSES
         self.few = Drive.of(FewPoints(sequence, {}))
         self.checker = ScanChecker(self.few)
         self._groups: list[list[int]] = []  # positions

@@ -5,23 +5,34 @@ and compete with the known mistakes and with drift. An explanation is good if re
 moves scans that were placed by it, and if the ground is then below the sensor. If none is good,
 nobody can tell what is wrong: the finding then states the measures.
 
-If a mount and an unusual order of quaternions explain the scans alike, the simpler one is chosen:
-the order has no value that is fitted to the scans, so a mount must turn the lidar about one axis
-only, besides quarter turns. The finding states the other one, too.
+If a mount and an unusual order of quaternions explain neighbouring scans alike, scans that are
+farther apart decide, where small turns show. If these fit alike, too, the simpler one is chosen:
+the order has no value that is fitted to the scans, so the mount must turn the lidar about one axis
+only, besides quarter turns, on a vehicle that stands upright. The finding is then likely at most,
+and states the other one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
-from dynaviz.diagnosis.alignment import AS_GIVEN, GAIN, Interpretation, Pairs, usual
+from dynaviz.diagnosis.alignment import (
+    ALIKE,
+    AS_GIVEN,
+    GAIN,
+    Interpretation,
+    Interpretations,
+    Pairs,
+    usual,
+)
 from dynaviz.diagnosis.drift import Drift
 from dynaviz.diagnosis.finding import Confidence, Finding
+from dynaviz.diagnosis.trajectory import MAX_TILT, tilt_of
 from dynaviz.sources.hypotheses.delays import estimate_delay, overlap_with
 from dynaviz.sources.hypotheses.judge import ground_sides
 from dynaviz.sources.hypotheses.mounts import as_option, estimate_mount, quarter_turns
@@ -106,34 +117,106 @@ def quality(views: Pairs, each: Interpretation = AS_GIVEN) -> Quality:
     return Quality(float(overlap), float(registered), moves, ground_sides(placed)[1])
 
 
+@dataclass(frozen=True)
+class MountedLidar:
+    """A mount of the lidar on the vehicle, and how well scans fit with it.
+
+    Attributes:
+        T: T_vehicle_lidar, (4, 4), metres.
+        given: how well they fit as given; then: with the mount.
+    """
+
+    T: F64
+    given: Quality
+    then: Quality
+
+    @property
+    def option(self) -> str:
+        """The value of ``--extrinsic``."""
+        return as_option(self.T)
+
+    @property
+    def interpretation(self) -> Interpretation:
+        """Points that were placed by the poses of the vehicle, instead of those of the lidar."""
+        move = lambda T: T @ self.T @ geometry.inverse(T)  # noqa: E731
+        return Interpretation(MOUNT, "", "", move, lambda T: T @ self.T)
+
+    def simple(self, views: Pairs) -> bool:
+        """Whether it turns about one axis at most, besides quarter turns, on an upright vehicle."""
+        upright = tilt_of(np.array([b.T for _, b in views])) <= MAX_TILT
+        return upright and _about_one_axis(self.T)
+
+    def finding(self) -> Finding:
+        """What it explains, and the option that sets it."""
+        problem = (
+            f"the poses are those of a vehicle on which the lidar is turned or shifted "
+            f"(x,y,z,roll,pitch,yaw {self.option}): {self.then.overlap:.0%} of a scan then "
+            f"overlaps the other, instead of {self.given.overlap:.0%}"
+        )
+        fix = f"Give the pose of the lidar on the vehicle: --extrinsic {self.option}"
+        clear = self.then.overlap > self.given.overlap + 2 * GAIN
+        return Finding(MOUNT, Confidence.CERTAIN if clear else Confidence.LIKELY, problem, fix)
+
+
 def weighed(
-    each: Interpretation | None,
+    each: Interpretation,
     finding: Finding,
     views: Pairs,
     others: Callable[[], Pairs],
+    distant: Callable[[], Pairs],
     path: PosesOverTime | None,
 ) -> Finding:
     """The finding, or a better one: of a mount, of a delay, or that nobody can tell.
 
     Args:
-        each: the interpretation of the finding; None for findings on what points up.
+        each: the interpretation of the finding.
         views: pairs of scans that were compared; others: reads pairs that are closer together.
+        distant: reads pairs that are farther apart, for a mount that fits alike.
         path: the poses over time; None if they have no times.
     """
-    if each is None:
-        return mount_finding(views, others) or finding
     found = quality(views, each)
     if found.good and usual(each):
         return finding
-    rival = (path and delay_finding(views, others(), path)) or mount_finding(
-        views, others, rival=(each, found)
-    )
-    if rival is not None or found.good:
-        return rival or finding
-    if found.beside >= 0.5 and found.overlap >= OVERLAPS:
+    if path and (late := delay_finding(views, others(), path)):
+        return late
+    mount = explaining_mount(views, others)
+    if mount is not None:
+        return _fitting(mount, each, found, finding, views, distant)
+    if found.good or (found.beside >= 0.5 and found.overlap >= OVERLAPS):
         return finding
     problem = f"as given, {quality(views)}; nobody can tell why. Best fit: {each.name}, but {found}"
     return cannot_tell(problem)
+
+
+def _fitting(
+    mount: MountedLidar,
+    each: Interpretation,
+    found: Quality,
+    finding: Finding,
+    views: Pairs,
+    distant: Callable[[], Pairs],
+) -> Finding:
+    """The finding of a mount or the one of an interpretation: what fits better, or is simpler."""
+    lead = found.moved - mount.then.moved
+    if not found.good or lead > BETTER:
+        return mount.finding()
+    if lead < -BETTER:
+        return finding
+    if apart := distant():
+        at_a_distance = Interpretations(apart)
+        ahead = at_a_distance.overlap(mount.interpretation) - at_a_distance.overlap(each)
+        if abs(ahead.mean()) > ALIKE:
+            return mount.finding() if ahead.mean() > 0 else finding
+    if mount.simple(views):
+        return _as_well(mount.finding(), f"{each.name} {each.reading}")
+    return _as_well(finding, f"lidar mount {mount.option}")
+
+
+def _as_well(finding: Finding, other: str) -> Finding:
+    """A finding that is likely at most, because something else explains the scans alike."""
+    confidence = max(finding.confidence, Confidence.LIKELY)
+    problem = f"{finding.problem}; {other} fits alike"
+    return replace(finding, confidence=confidence, problem=problem)
 
 
 def _far(metres: float, degrees: float) -> float:
@@ -142,12 +225,21 @@ def _far(metres: float, degrees: float) -> float:
 
 
 def mount_finding(
-    views: Pairs,
-    others: Callable[[], Pairs],
-    drifts: bool = False,
-    rival: tuple[Interpretation, Quality] | None = None,
+    views: Pairs, others: Callable[[], Pairs], drifts: bool = False
 ) -> Finding | None:
     """A finding if a mount of the lidar on the vehicle explains the scans.
+
+    Args:
+        views, others, drifts: as of ``explaining_mount``.
+    """
+    mount = explaining_mount(views, others, drifts)
+    return None if mount is None else mount.finding()
+
+
+def explaining_mount(
+    views: Pairs, others: Callable[[], Pairs], drifts: bool = False
+) -> MountedLidar | None:
+    """The mount of the lidar on the vehicle that explains the scans; None if none does.
 
     Args:
         views: pairs of scans on which it is verified.
@@ -155,8 +247,6 @@ def mount_finding(
         drifts: whether the alternative is a drift. If the vehicle hardly turns, a drift in a
             constant direction looks like a small mount, and is the likelier explanation. The
             mount is then estimated from the other pairs alone.
-        rival: another explanation and how well it fits. It holds if it is good and fits better,
-            or alike and is simpler.
     """
     if drifts and _turns([*views]) < TURNS:
         return None
@@ -166,32 +256,15 @@ def mount_finding(
     large = angle(T) >= SMALLEST[0] or float(np.linalg.norm(T[:3, 3])) >= SMALLEST[1]
     if not large:
         return None
-    each = _mounted(T)
     given = quality(views)
-    then = quality(views, each)
+    mount = MountedLidar(T, given, given)
+    then = quality(views, mount.interpretation)
     better = then.overlap > given.overlap + GAIN / 2 or given.beside >= 0.5 > then.beside
     share = (then.overlap - given.overlap) / max(given.registered - given.overlap, 1e-6)
     enough = share >= EXPLAINED or angle(T) >= 5
     if drifts:
         enough = share >= MOST_EXPLAINED and then.moved <= EXACT
-    if not (then.good and better and enough):
-        return None
-    also = ""
-    if rival and rival[1].good:
-        lead = rival[1].moved - then.moved
-        if lead < -BETTER or (lead <= BETTER and not _about_one_axis(T)):
-            return None
-        if lead <= BETTER:
-            also = f"; the same with {rival[0].name} {rival[0].reading}"
-    option = as_option(T)
-    problem = (
-        f"the poses are those of a vehicle on which the lidar is turned or shifted "
-        f"(x,y,z,roll,pitch,yaw {option}): {then.overlap:.0%} of a scan then overlaps the other, "
-        f"instead of {given.overlap:.0%}{also}"
-    )
-    fix = f"Give the pose of the lidar on the vehicle: --extrinsic {option}"
-    clear = then.overlap > given.overlap + 2 * GAIN
-    return Finding(MOUNT, Confidence.CERTAIN if clear else Confidence.LIKELY, problem, fix)
+    return replace(mount, then=then) if then.good and better and enough else None
 
 
 def _about_one_axis(T: F64) -> bool:
@@ -307,12 +380,6 @@ def cannot_tell(problem: str) -> Finding:
         "estimate the poses from the scans: --poses small-gicp"
     )
     return Finding(UNKNOWN, Confidence.LIKELY, problem, fix)
-
-
-def _mounted(X: F64) -> Interpretation:
-    """Points that were placed by the poses of the vehicle, instead of those of the lidar."""
-    move = lambda T: T @ X @ geometry.inverse(T)  # noqa: E731
-    return Interpretation(MOUNT, "", "", move, lambda T: T @ X)
 
 
 def _placed(view: ScanView, each: Interpretation) -> ScanView:

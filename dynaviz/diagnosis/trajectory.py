@@ -146,8 +146,15 @@ def jumps(
         yield Finding("poses jump", Confidence.LIKELY, problem, fix, frames[:SHOWN], len(frames))
 
 
-def identical(poses: Sequence[F64]) -> str | None:
-    """A sentence if all poses are the same; None if they differ."""
+def identical(poses: Sequence[F64], posed: bool = True) -> str | None:
+    """A sentence if all poses are the same; None if they differ.
+
+    Args:
+        poses: (4, 4) float64 each, metres.
+        posed: whether the sequence has any.
+    """
+    if not posed:
+        return "no poses were found"
     if not all(np.allclose(pose, poses[0], atol=1e-6) for pose in poses):
         return None
     return (

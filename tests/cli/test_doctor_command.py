@@ -72,7 +72,9 @@ def test_a_bag_without_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     cleaning = f"dynaviz clean {bag.path} -o drive_clean.laz"
     assert command("doctor", bag.path, "--quiet") == 1
     out = " ".join(capsys.readouterr().out.split())
+    assert "no poses were found, but the clouds move" in out
     assert "poses missing" in out
+    assert "all poses are zero" not in out
     assert f"clean the map with: {cleaning}" in out
     assert command("info", bag.path, "--quiet") == 0
     out = " ".join(capsys.readouterr().out.split())
