@@ -10,7 +10,7 @@ from dynaviz.arrays import F64, I64, Bool, Intp
 from dynaviz.contracts.at_sensor import CUBE, HOUSING, in_sensor_frame
 from dynaviz.contracts.scan import Scan
 from dynaviz.sources.drive import Drive
-from dynaviz.sources.sensing import ScanRays, height_of
+from dynaviz.sources.sensing import ScanRays, stance
 from dynaviz.spatial import geometry
 
 # scans that are read, and between which the sensor must have moved
@@ -20,8 +20,8 @@ FEWEST = 6
 STEP = 1.0
 TURN = 15.0
 REACH = 3.0  # metres; a carrier does not extend farther from the sensor
-# metres from the sensor's axis, within which each part of a carrier begins; vehicles beside it do
-# not
+# metres from the vertical axis through the sensor, within which each part of a carrier begins;
+# vehicles beside it do not
 NEAR = 2.0
 ALWAYS = 0.8  # share of the scans in which a cube must contain points
 RIGID = (
@@ -68,9 +68,13 @@ def estimate_carrier(sequence: Drive) -> tuple[tuple[int, int, int], ...]:
     apart = middles - _means(middles, of.reshape(-1), len(found))[of.reshape(-1)]
     spread = np.sqrt(_means(apart**2, of.reshape(-1), len(found)).sum(1))
     cubes = found[(counts >= ALWAYS * len(seen)) & (spread < RIGID)].astype(np.int64)
-    if len(cubes) and (height := height_of(ScanRays.of(last))) is not None:
-        cubes = cubes[CUBE * cubes[:, 2] > ABOVE_GROUND - height]
-    return tuple((x, y, z) for x, y, z in cubes[_begins_near(cubes)].tolist())
+    if not len(cubes):
+        return ()
+    up, height = stance(last, ScanRays.of(last))
+    if height is not None:
+        lowest = cubes @ up + np.minimum(up, 0.0).sum()  # corner of each
+        cubes = cubes[CUBE * lowest > ABOVE_GROUND - height]
+    return tuple((x, y, z) for x, y, z in cubes[_begins_near(cubes, up)].tolist())
 
 
 def with_carrier(sequence: Drive) -> Drive:
@@ -83,16 +87,18 @@ def with_carrier(sequence: Drive) -> Drive:
     return sequence.with_sensor(replace(sequence.sensor, carrier=carrier))
 
 
-def _begins_near(cubes: I64) -> Bool:
+def _begins_near(cubes: I64, up: F64) -> Bool:
     """(C,) bool: cubes within ``REACH`` that join others, also at a corner, up to one near the
-    sensor's axis.
+    axis through the sensor that points up, (3,) in its frame.
     """
     half = int(REACH / CUBE) + 2  # one more: the border stays empty
     at = tuple((cubes + half).T)
     grid = np.zeros((2, *(2 * half,) * 3), np.bool_)
     found, joined = grid
     found[at] = True
-    joined[at] = CUBE * np.hypot(*(cubes[:, :2] + 0.5).T) < NEAR
+    middles = cubes + 0.5
+    aside = middles - np.outer(middles @ up, up)
+    joined[at] = CUBE * np.linalg.norm(aside, axis=1) < NEAR
     before = -1
     while before < (before := int(joined.sum())):
         for axis in range(3):

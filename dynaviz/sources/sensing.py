@@ -133,7 +133,7 @@ def estimate_sensor(sequence: Drive) -> Sensor:
     heights = [
         height
         for k, each in zip(known, rays, strict=True)
-        if (height := _height(scans[k], each)) is not None
+        if (height := stance(scans[k], each)[1]) is not None
     ]
     every = np.concatenate([each.elevations for each in rays])
     ranges = np.concatenate([each.ranges for each in rays])
@@ -304,28 +304,24 @@ def _ends(elevations: F64, ranges: F64, stray: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def height_of(rays: ScanRays) -> float | None:
-    """Distance of the sensor from the plane of the ground, metres.
+def stance(scan: Scan, rays: ScanRays) -> tuple[F64, float | None]:
+    """How a sensor stands on the ground.
 
-    None if too little of it is seen.
+    Up is the third axis of the sensor, or that of the world if the sensor is turned and shows more
+    ground there: one that is upside down, tilted, or turns about an axis.
+
+    Returns:
+        Up in the sensor frame, (3,), and the distance of the sensor from the plane of the ground,
+        metres; None if too little of it is seen.
     """
+    up = np.array([0.0, 0.0, 1.0])
     height, shown = sensor_height(rays.ends)
-    return height if shown else None
-
-
-def _height(scan: Scan, rays: ScanRays) -> float | None:
-    """Distance of the sensor from the ground, metres; None if too little of it is seen.
-
-    The ground is where the third axis of the sensor points down, or that of the world if the sensor
-    is turned and shows more ground there: one that is upside down, tilted, or turns about an axis.
-    """
-    if scan.T_world_sensor[2, 2] > UPRIGHT:
-        return height_of(rays)
-    own = sensor_height(rays.ends)
-    away = scan.points - scan.origins
-    there = sensor_height(away[np.isfinite(away).all(1)])
-    height, shown = max(own, there, key=lambda found: found[1])
-    return height if shown else None
+    if scan.T_world_sensor[2, 2] <= UPRIGHT:
+        away = scan.points - scan.origins
+        high, seen = sensor_height(away[np.isfinite(away).all(1)])
+        if seen > shown:
+            return scan.T_world_sensor[2, :3], high
+    return up, height if shown else None
 
 
 def _azimuth(azimuths: F64) -> tuple[float, float]:

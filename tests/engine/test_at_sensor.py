@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
 from dynaviz.arrays import F64
@@ -21,7 +22,7 @@ from dynaviz.sources.carrier import estimate_carrier
 from dynaviz.sources.drive import Drive
 from dynaviz.spatial import geometry
 from dynaviz.testing import InMemory
-from dynaviz.testing.world import SENSOR, crossing
+from dynaviz.testing.world import HEIGHT, SENSOR, crossing
 
 SCANS = crossing(16)
 ROOF = np.stack(np.meshgrid([-0.9, -0.7, 0.9, 1.1], [-0.5, 0.1, 0.5], [-0.3]), -1).reshape(-1, 3)
@@ -44,6 +45,30 @@ def test_what_moves_with_the_sensor_is_its_carrier() -> None:
     found = AtSensor(dataclasses.replace(SENSOR, carrier=carrier)).found(driven[5])
     assert found[-len(ROOF) :].all()
     assert not found[: -len(ROOF)].any()
+
+
+@pytest.mark.parametrize("roll", [0.0, 90.0, 180.0])
+def test_the_carrier_of_a_turned_sensor_is_above_the_ground_and_near_its_vertical_axis(
+    roll: float,
+) -> None:
+    """Neither the ground below a turned sensor nor what is beside it moves with it by accident."""
+    T_turned_upright = np.eye(4)
+    T_turned_upright[:3, :3] = Rotation.from_euler("x", roll, degrees=True).as_matrix()
+    x, y = np.meshgrid([-0.9, -0.5, -0.1, 0.3, 0.7], [-0.5, -0.1, 0.3])
+    ground = np.stack([x, y, np.full_like(x, 0.15 - HEIGHT)], -1).reshape(-1, 3)
+    beside = np.array([[0.1, 2.5, -0.3], [0.3, 2.5, -0.3]])
+    turned = [
+        dataclasses.replace(
+            each,
+            T_world_sensor=each.T_world_sensor @ geometry.inverse(T_turned_upright),
+            origins=None,
+        )
+        for scan in SCANS
+        for each in [with_points(scan, np.concatenate([ROOF, ground, beside]))]
+    ]
+    roof = geometry.apply(T_turned_upright, ROOF)
+    found = set(estimate_carrier(Drive.of(InMemory(turned))))
+    assert found == {tuple(cube) for cube in np.floor(roof / 0.2).astype(int).tolist()}
 
 
 def test_a_standing_sensor_has_no_carrier() -> None:
