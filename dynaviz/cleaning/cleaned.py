@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 CASES = 5  # listed
+_FLOAT64 = (
+    "x y z are float64, so that far coordinates stay exact; PCL before 1.15 reads them as zeros: "
+    "write .laz for other programs, or float32 in local coordinates with --tiles autoware"
+)
 _ADVICE = "; `--refine-poses` may reduce it, and keep more static points"
 
 
@@ -156,6 +160,8 @@ class Cleaned:
         for each in self.maps:
             names = f", with {', '.join(each.attributes)}" if each.attributes else ""
             yield f"- `{each.path}`: {each.points:,} points{names}"
+            if each.double_pcd:
+                yield f"  ({_FLOAT64})"
         if self.trajectory:
             yield f"- `{self.trajectory}`: the poses that were used; `--poses` reads them"
         if self.marked:

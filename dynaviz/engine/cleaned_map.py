@@ -22,7 +22,7 @@ from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
 from dynaviz.io.las import GPS_EPOCH, adjusted_gps_time
 from dynaviz.io.las_map import LAS, LasHead
-from dynaviz.io.maps import Writing, divided_map, map_tiles, open_map
+from dynaviz.io.maps import Writing, divided_map, map_tiles, open_map, row_dtype
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.account import PointAccount
 from dynaviz.sources.drive import Drive
@@ -62,11 +62,17 @@ class MapFile:
 
 @dataclass
 class WrittenMap:
-    """A map that was written: its points, and the names of their attributes."""
+    """A map that was written.
+
+    Attributes:
+        path: file or folder; points: their number; attributes: their names.
+        double_pcd: whether it is PCD with x y z in float64, which PCL before 1.15 reads as zeros.
+    """
 
     path: Path
     points: int = 0
     attributes: tuple[str, ...] = field(default=())
+    double_pcd: bool = False
 
 
 JUDGED_STATIC = 0
@@ -323,7 +329,8 @@ class _Map:
         self._file = file
         self._origin = origin
         self._voxels = KeySet()
-        self._clock = clock if (file.suffix or file.path.suffix).lower() in LAS else None
+        suffix = (file.suffix or file.path.suffix).lower()
+        self._clock = clock if suffix in LAS else None
         marks = {**_MARKS, **(_BY_HAND if file.by_hand else {})} if file.marked else {}
         self._marks = tuple(marks)
         if replaced := [name for name in marks if name in fields]:
@@ -334,7 +341,9 @@ class _Map:
         own = {**fields, **({"gps_time": np.dtype(np.float64)} if self._clock else {}), **marks}
         self._account = dict.fromkeys(PointAccount.__struct_fields__, 0)
         self._append = stack.enter_context(_writer(file, own, origin, head, double))
-        self.written = WrittenMap(file.path, 0, tuple(own))
+        wide = row_dtype({}, origin, double)["x"].itemsize > 4
+        double_pcd = wide and suffix == ".pcd" and not file.tiled
+        self.written = WrittenMap(file.path, 0, tuple(own), double_pcd)
 
     @property
     def account(self) -> PointAccount:

@@ -120,6 +120,7 @@ def test_double_coordinates_stay_double(tmp_path: Path, suffix: str, points_in: 
         coordinates(found), kept, rtol=0, atol=0 if points_in == "world" else 1e-14
     )
     np.testing.assert_array_equal(coordinates(found), cleaned.result.static_map())
+    assert ("PCL before 1.15" in str(cleaned)) == (suffix == ".pcd")
 
 
 def test_the_summary_states_what_was_removed(tmp_path: Path) -> None:
