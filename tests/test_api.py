@@ -163,6 +163,8 @@ def test_what_a_session_shows_of_a_value_is_one_line(little_room: InMemory) -> N
     result = dv.run("octomap", little_room)
     drive = dv.open(little_room)
     assert repr(drive) == f"<Drive room: {len(drive)} frames, test, with ground truth>"
+    unknown = dv.open([(np.ones((2, 3)), np.eye(4))] * 2)
+    assert ": 2 frames, unknown sensor, without ground truth>" in repr(unknown)
     scores = ", ".join(f"{name} {result.metrics[name]:.2f}" for name in ("SA", "DA", "AA"))
     assert repr(result) == f"<Result of octomap on room: {scores}>"
     points = f"{result.sequence.points:,} points"

@@ -123,7 +123,7 @@ class Drive:
 
     def __repr__(self) -> str:
         truth = "with" if self.has_labels else "without"
-        sensor = self.sensor.name or "unknown sensor"
+        sensor = self.sensor.title if self.sensor.name == "unknown" else self.sensor.name
         return f"<Drive {self.name}: {len(self):,} frames, {sensor}, {truth} ground truth>"
 
     def select(self, frames: str | None = None, stride: int = 1) -> Drive:
