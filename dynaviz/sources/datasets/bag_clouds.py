@@ -16,7 +16,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError
 from dynaviz.io.pointcloud2 import cloud_rows, cloud_xyz
 from dynaviz.io.rosbag import Bag
-from dynaviz.sources.hypotheses.sweep import Sweeps, SweepTimes, judge_sweeps
+from dynaviz.sources.hypotheses.sweep import READ, Sweeps, SweepTimes, judge_sweeps
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import (
     FIELDS,
@@ -118,17 +118,19 @@ def judged(
 ) -> Sweeps:
     """Whether clouds are deskewed already, tried on some of them."""
 
-    def read(position: int, here: bool) -> Scan:
+    def read(position: int) -> tuple[Scan, Scan]:
         k = int(positions[position])
         rows = read_cloud(bag, clouds, k)
+        rows = rows[np.sort(np.random.default_rng(0).permutation(len(rows))[:READ])]
         with valid_cloud(bag, clouds, k):
             points = cloud_xyz(rows)
         stamp = int(clouds.stamps[k])
-        if here and sweep.field in (rows.dtype.names or ()):
-            points, _ = deskew(points, sweep.times(rows, points, stamp)[0], path)
-        else:
-            points = geometry.transform(poses[position], points)
-        return Scan(k, points, poses[position], stamp)
+        pose = poses[position]
+        taken = Scan(k, geometry.transform(pose, points), pose, stamp)
+        if sweep.field not in (rows.dtype.names or ()):
+            return taken, taken
+        times = sweep.times(rows, points, stamp)[0]
+        return Scan(k, deskew(points, times, path)[0], pose, stamp), taken
 
     return judge_sweeps(read, poses, clouds.stamps[positions], path)
 

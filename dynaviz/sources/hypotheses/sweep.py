@@ -24,9 +24,10 @@ TURN = 0.004  # radians of rotation during a sweep, likewise
 NEAR = 0.4  # metres from a surface of the other scan
 CLEAR = 0.9  # factor by which the better reading must reduce the distance
 MOST = 0.6  # share of the pairs in which it must do so
-POINTS = 5000  # of a scan that are compared
+READ = 30_000  # points of a scan that are read, at random
+POINTS = 3000  # of these that are compared
 
-Read = Callable[[int, bool], Scan]
+Read = Callable[[int], tuple[Scan, Scan]]
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def judge_sweeps(read: Read, poses: F64, stamps: I64, path: PosesOverTime) -> Sw
     """Compare both readings on some pairs of scans.
 
     Args:
-        read: reads a scan by its position, deskewed or as it is.
+        read: reads about ``READ`` points of a scan by its position, deskewed and as they are.
         poses: (N, 4, 4) float64, metres, of the scans; stamps: (N,) int64, nanoseconds.
         path: poses over time.
     """
@@ -81,7 +82,8 @@ def _pairs(poses: F64) -> list[tuple[int, int]]:
         far = np.flatnonzero((way >= WAY[0]) & (way <= WAY[1]))
         if len(far):
             found.append((first, first + 1 + int(far[len(far) // 2])))
-    return found[:: max(1, len(found) // PAIRS)]
+    chosen = np.unique(np.linspace(0, len(found) - 1, PAIRS).astype(int)) if found else ()
+    return [found[k] for k in chosen]
 
 
 def _moves(position: int, stamps: I64, path: PosesOverTime) -> bool:
@@ -94,8 +96,8 @@ def _moves(position: int, stamps: I64, path: PosesOverTime) -> bool:
 def _distances(read: Read, first: int, last: int) -> tuple[float, float] | None:
     """Metres between a scan and surfaces of another one, deskewed and as it is."""
     found = []
-    for here in (True, False):
-        views = [ScanView(read(position, here)) for position in (first, last)]
+    for scans in zip(read(first), read(last), strict=True):
+        views = [ScanView(scan) for scan in scans]
         if not comparable(views):
             return None
         points = views[1].points

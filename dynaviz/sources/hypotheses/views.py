@@ -88,6 +88,8 @@ class ScanView:
 class Surface:
     """A plane through each point and its 8 nearest neighbours.
 
+    A plane is computed when it is first asked for.
+
     Args:
         points: (N, 3) float64, metres.
     """
@@ -97,9 +99,8 @@ class Surface:
 
         self.points = points
         self.tree = cKDTree(points)
-        around = points[self.tree.query(points, min(9, len(points)))[1]]
-        centred = around - around.mean(1, keepdims=True)
-        self.normals = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
+        self._normals = np.zeros_like(points)
+        self._known = np.zeros(len(points), np.bool_)
 
     def heights(self, points: F64) -> tuple[F64, F64]:
         """Signed height above the plane of the nearest point, (N,) metres, inf beyond 1 m, and its
@@ -108,8 +109,21 @@ class Surface:
         distances, nearest = self.tree.query(points, distance_upper_bound=1.0)
         found = np.isfinite(distances)
         row = np.where(found, nearest, 0)
-        normals = self.normals[row]
+        normals = self._normals_of(row)
         return np.where(found, ((points - self.points[row]) * normals).sum(1), np.inf), normals
+
+    def _normals_of(self, rows: Intp) -> F64:
+        """(K, 3): of the planes of some points, (K,)."""
+        new = np.unique(rows[~self._known[rows]])
+        if len(new):
+            neighbours = self.tree.query(self.points[new], min(9, len(self.points)))[1]
+            around = self.points[neighbours]
+            centred = around - around.mean(1, keepdims=True)
+            scatter = np.einsum("nki,nkj->nij", centred, centred)
+            self._normals[new] = np.linalg.eigh(scatter)[1][:, :, 0]
+            self._known[new] = True
+        normals: F64 = self._normals[rows]
+        return normals
 
     def overlap(self, points: F64) -> float:
         """Share of points that lie on the surfaces."""
