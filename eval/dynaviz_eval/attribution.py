@@ -110,9 +110,8 @@ def sentence(case: FailureCase, meaning: str, patches: bool = False) -> str:
     name = " ".join(str(part) for part in (case.what, case.instance) if part is not None)
     if case.kind == "false_negative":
         moved = f"moved {case.moved:.0f} m" if case.moved >= STATIONARY else "moved less than 1 m"
-        fact = f"Kept: {name}, {when_and_where(case, case.behaviour)}" + (
-            "." if case.behaviour else f", {moved}."
-        )
+        unknown = case.behaviour is None and case.frames > 1
+        fact = f"Kept: {name}, {when_and_where(case, moved if unknown else case.behaviour)}."
     else:
         name += " in patches within" if patches else ","
         fact = f"Removed: {name} {extent(case)}, {when_and_where(case, case.behaviour)}."

@@ -164,7 +164,7 @@ class Objects:
         kept = 2 * wrong[frames] > track["points"]
         none = wrong[frames] == 0
         parts = {
-            "moving": ~stood,
+            "moving": ~stood & (len(track) > 1),
             "standing": stood,
             "kept": kept,
             "partly": ~kept & ~none,
@@ -207,8 +207,10 @@ def groups_of(scan: Scan, chosen: NDArray[np.intp], objects: bool) -> I64:
 
 def behaviour_of_object(
     track: NDArray[np.void], end: int, frames: tuple[int, int] | None = None
-) -> Behaviour:
+) -> Behaviour | None:
     """What a dynamic object did in some frames; the first of the rules below that applies.
+
+    None if none does and it was seen in one frame only: whether it moved is unknown.
 
     Args:
         track: (R,) rows of the object, as in ``Cases.rows``, one per frame, in the order of frames.
@@ -235,11 +237,9 @@ def behaviour_of_object(
         return Behaviour.ARRIVED_LATE
     if part["ranges"].sum() > FAR * part["points"].sum():
         return Behaviour.FAR_AWAY
-    return (
-        Behaviour.TOUCHED
-        if 2 * part["touching"].sum() > part["points"].sum()
-        else Behaviour.PASSED_BY
-    )
+    if 2 * part["touching"].sum() > part["points"].sum():
+        return Behaviour.TOUCHED
+    return Behaviour.PASSED_BY if len(track) > 1 else None
 
 
 def standing(track: NDArray[np.void]) -> Bool:

@@ -60,6 +60,9 @@ DRIVE, STAND = np.arange(30.0), np.zeros(20)
         (DRIVE, 0, {"ranges": 300}, Behaviour.PASSED_BY),
         (DRIVE, 0, {"touching": 6}, Behaviour.TOUCHED),
         (DRIVE, 0, {"touching": 5}, Behaviour.PASSED_BY),
+        (DRIVE[:2], 0, {}, Behaviour.PASSED_BY),
+        (DRIVE[:1], 0, {}, None),
+        (DRIVE[:1], 0, {"touching": 6}, Behaviour.TOUCHED),
     ],
 )
 def test_what_an_object_did(x, first, fields, expected):
@@ -182,7 +185,7 @@ def test_an_object_touches_what_stands_next_to_it_but_not_the_road_or_a_bridge()
                 np.concatenate([car, wall]),
                 np.repeat([1, 0], [50, 4000]).astype(np.uint8),
             )
-            scan = Scan(frame, points, np.eye(4), labels=labels)
+            scan = Scan(frame, points, np.eye(4), labels=labels, instances=labels)
             labelled = Labelled.of(frame, scan, np.zeros(4050, np.bool_), np.zeros(4050, np.uint8))
             objects.add(labelled, scan.points[:, 2])
         objects.finish()

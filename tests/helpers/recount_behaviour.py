@@ -33,7 +33,7 @@ class RecountedBehaviour:
     run: Path
     number: int
     case: FailureCase
-    allowed: frozenset[str]
+    allowed: frozenset[str | None]
     figures: str
 
     @property
@@ -46,7 +46,7 @@ class RecountedBehaviour:
         return (
             f"{self.run.name} {self.number} {case.kind} {case.what} {case.instance} in "
             f"{case.first_frame}-{case.last_frame}: {case.behaviour!r}, recounted "
-            f"{sorted(self.allowed)} {self.figures}"
+            f"{sorted(map(str, self.allowed))} {self.figures}"
         )
 
 
@@ -148,7 +148,7 @@ class ObjectTrack:
                 found |= set(self.frames[i : j + 1])
         return found
 
-    def behaviour(self, case: FailureCase, end: int, still: float) -> str:
+    def behaviour(self, case: FailureCase, end: int, still: float) -> str | None:
         """What it did in the frames of a case."""
         stood = self.standing(still)
         own = [k for k in self.frames if case.first_frame <= k <= case.last_frame]
@@ -167,7 +167,9 @@ class ObjectTrack:
         if np.concatenate([self.ranges[row] for row in rows]).mean() > FAR:
             return "far away"
         touching = np.concatenate([self.touching[row] for row in rows]).mean()
-        return "touched something" if touching > 0.5 else "passed by"
+        if touching > 0.5:
+            return "touched something"
+        return "passed by" if len(self.frames) > 1 else None
 
 
 def place_words(each: CasePoints, drive: Frames) -> frozenset[str]:
