@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import IO, TypeVar
 from urllib.parse import quote
@@ -25,6 +26,9 @@ from dynaviz.errors import DynavizError, MissingDependency, UsageError
 HOME = "127.0.0.1"
 SECONDS_TO_START = 30.0
 ATTEMPTS = 6
+# of the layout that the viewer stores: the entity and its archetype that say which view is shown
+VIEWPORT = "/viewport"
+ARCHETYPE = "ViewportBlueprint"
 
 T = TypeVar("T")
 
@@ -168,6 +172,29 @@ def patient(request: Callable[[], T]) -> T:
     raise DynavizError(
         "the viewer does not answer in time. Try a smaller --size, or one view with --view-name"
     )
+
+
+def maximize(client: ViewerClient, view: str) -> None:
+    """Give a view the whole window.
+
+    rerun-sdk has no function for it, so the layout is changed as the viewer stores it.
+
+    Args:
+        client: of the viewer.
+        view: number of the view.
+
+    Raises:
+        DynavizError: if this version of the viewer stores its layout differently.
+    """
+    layout = patient(client.get_blueprint).blueprint
+    window = layout.get(VIEWPORT, {}).get(ARCHETYPE)
+    if window is None:
+        raise DynavizError(
+            f"rerun-sdk {version('rerun-sdk')} stores its layout differently: its entity "
+            f"{VIEWPORT} has no {ARCHETYPE}. Draw the whole window: leave out --view-name"
+        )
+    window["maximized"] = view
+    patient(lambda: client.set_blueprint(layout, of="recording"))
 
 
 def _connected(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> ViewerClient:

@@ -84,6 +84,33 @@ def test_a_busy_viewer_is_asked_again() -> None:
         viewer.patient(never)
 
 
+class StoredLayout:
+    """Stands for a viewer that stores its layout in some form."""
+
+    def __init__(self, layout: dict[str, Any]) -> None:
+        self.blueprint = layout
+        self.sent: dict[str, Any] = {}
+
+    def get_blueprint(self) -> StoredLayout:
+        return self
+
+    def set_blueprint(self, layout: dict[str, Any], of: str) -> None:
+        self.sent = {of: layout}
+
+
+@pytest.mark.parametrize("layout", [{}, {"/viewport": {}}, {"/viewport": {"Viewport": {}}}])
+def test_a_viewer_that_stores_its_layout_differently_names_the_entity(layout: Any) -> None:
+    with pytest.raises(DynavizError, match=r"its entity /viewport has no ViewportBlueprint"):
+        viewer.maximize(StoredLayout(layout), "7")  # type: ignore[arg-type]
+
+
+def test_a_view_gets_the_whole_window() -> None:
+    client = StoredLayout({"/viewport": {"ViewportBlueprint": {"auto_views": False}}})
+    viewer.maximize(client, "7")  # type: ignore[arg-type]
+    shown = {"auto_views": False, "maximized": "7"}
+    assert client.sent == {"recording": {"/viewport": {"ViewportBlueprint": shown}}}
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="the viewer is replaced by a shell script")
 def test_a_viewer_that_ends_at_start_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -232,9 +232,7 @@ def _picture(client: ViewerClient, view: str | None) -> Picture:
     if view not in ids:
         names = sorted(shown.name for shown in views if "/keys/" not in shown.origin)
         raise UsageError(f"--view-name {view}: choose from {', '.join(names)}")
-    blueprint = viewer.patient(client.get_blueprint).blueprint
-    blueprint["/viewport"]["ViewportBlueprint"]["maximized"] = ids[view]
-    viewer.patient(lambda: client.set_blueprint(blueprint, of="recording"))
+    viewer.maximize(client, ids[view])
     return lambda: _drawn(client, ids[view])
 
 
