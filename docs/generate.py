@@ -161,25 +161,23 @@ def options() -> str:
 
 
 def sampling() -> str:
-    """DA of each method by scans that see a place and by rings, on two drives."""
+    """DA of each method by scans that see a place and by rings, one table for each drive."""
     rows = measured()
-    columns = sorted({(row["drive"], -row["rings"], -row["looks"]) for row in rows})
-    head = (
-        "method",
-        *(
-            f"{real_tables.title(drive)}: {-seen} scans, {-rings} rings"
-            for drive, rings, seen in columns
-        ),
-    )
-    found = {
-        (row["method"], row["drive"], -row["rings"], -row["looks"]): f"{row['DA']:.0f}"
-        for row in rows
-    }
     names = sorted({row["method"] for row in rows})
-    return table(
-        head,
-        ((f"`{name}`", *(found.get((name, *column), "") for column in columns)) for name in names),
-    )
+    tables = []
+    for drive in sorted({row["drive"] for row in rows}):
+        found = {
+            (row["method"], -row["rings"], -row["looks"]): f"{row['DA']:.0f}"
+            for row in rows
+            if row["drive"] == drive
+        }
+        columns = sorted({(rings, seen) for _, rings, seen in found})
+        head = ("method", *(f"{-seen} scans, {-rings} rings" for rings, seen in columns))
+        filled_in = (
+            (f"`{name}`", *(found.get((name, *column), "") for column in columns)) for name in names
+        )
+        tables.append(f"{real_tables.title(drive)}:\n\n{table(head, filled_in)}")
+    return "\n\n".join(tables)
 
 
 TABLES: dict[str, Callable[[], str]] = {
