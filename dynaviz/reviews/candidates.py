@@ -197,8 +197,11 @@ class _Found:
         cells = places.cell[places.place[self.rows]].astype(np.int64)
         clock = clock_of(times[int(frames[0])])
         pieces = []
-        for frame in np.unique(frames).tolist():
-            inside = cells[frames == frame]
+        order = np.argsort(frames, kind="stable")
+        starts = np.flatnonzero(np.diff(frames[order], prepend=-1))
+        for part in np.split(order, starts[1:]):
+            frame = int(frames[part[0]])
+            inside = cells[part]
             low = inside.min(0)
             time = time_of(times[frame], clock)
             assert time is not None

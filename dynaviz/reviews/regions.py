@@ -195,8 +195,10 @@ Region = ObjectRegion | BoxRegion | PolygonRegion
 
 def packed_cells(cells: NDArray[np.integer]) -> str:
     """Text for (K, 3) cells of 0 to 65535, which ``unpacked_cells`` reads."""
-    plain = np.unique(cells.astype("<u2"), axis=0)
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(plain.T).tobytes(), 6)).decode()
+    x, y, z = cells.astype(np.int64).T
+    keys = np.unique(x << 32 | y << 16 | z)
+    plain = np.stack([keys >> 32, keys >> 16 & 0xFFFF, keys & 0xFFFF]).astype("<u2")
+    return base64.b64encode(zlib.compress(plain.tobytes(), 6)).decode()
 
 
 def unpacked_cells(text: str) -> NDArray[np.integer]:
