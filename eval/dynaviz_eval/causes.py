@@ -145,7 +145,7 @@ def near_cause(
 ) -> MeasuredCause | None:
     """The other cause that halves of the sampled points of a case give most often.
 
-    None if less than one in ``RARE`` gives another. A half differs from the sample as much as the
+    None if less than one in ``RARE`` gives another, and of a single point. A half differs from the sample as much as the
     sample from all points.
 
     Args:
@@ -155,6 +155,8 @@ def near_cause(
     """
     rng = np.random.default_rng(0)
     half = len(rows) // 2
+    if not half:
+        return None
     halves = np.stack([rng.permutation(rows)[:half] for _ in range(HALVES)])
     found = Counter(cause_of(kind, looks, word) for looks in looks_of_parts(seen, halves))
     del found[cause]

@@ -179,3 +179,9 @@ def test_a_cause_near_a_threshold_names_the_other(through, cause, near):
     rows = np.arange(128)
     assert cause_of("false_positive", looks_of(seen(through), rows)) == cause
     assert near_cause("false_positive", seen(through), rows, cause) == near
+
+
+def test_a_single_point_has_no_near_cause() -> None:
+    rows = np.arange(1)
+    cause = cause_of("false_positive", looks_of(seen(0), rows))
+    assert near_cause("false_positive", seen(0), rows, cause) is None
