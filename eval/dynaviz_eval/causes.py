@@ -145,8 +145,8 @@ def near_cause(
 ) -> MeasuredCause | None:
     """The other cause that halves of the sampled points of a case give most often.
 
-    None if less than one in ``RARE`` gives another, and of a single point. A half differs from the sample as much as the
-    sample from all points.
+    None if less than one in ``RARE`` gives another, and of a single point. A half differs from the
+    sample as much as the sample from all points.
 
     Args:
         kind, word: as for ``cause_of``.
