@@ -142,7 +142,7 @@ class Explored:
             "sequence": run.result.sequence.name,
             "frames": run.frames,
             "scores": {name: run.result.metrics.get(name) for name in ("SA", "DA", "AA")},
-            "possible": str(ceiling.possible) if ceiling and ceiling.possible else None,
+            "possible": ceiling.allowed if ceiling and ceiling.possible else None,
             "truth": run.result.has_truth,
             "compares": run.compares,
             "path": shlex.quote(str(run.path)),

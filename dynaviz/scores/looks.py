@@ -107,5 +107,14 @@ class Ceiling(Struct, frozen=True):
             return ""
         return (
             f"{self.kept_seen} with evidence that was not used, {self.kept_unseen} without; "
-            f"the drive allows {self.possible}"
+            f"the drive allows {self.allowed}"
         )
+
+    @property
+    def allowed(self) -> str:
+        """The possible DA in words; by object, too, if the method removed more than by point."""
+        known = (self.possible, self.possible_by_object, self.removed_seen, self.removed_unseen)
+        by_point, by_object, seen, unseen = (each or Estimate(0.0) for each in known)
+        if self.possible_by_object is None or seen.percent + unseen.percent <= by_point.percent:
+            return str(by_point)
+        return f"{by_point} by point and {by_object} by object"

@@ -7,7 +7,7 @@ import pytest
 from dynaviz.contracts.looks import CountedLooks, Look
 from dynaviz.contracts.method import Cause as Word
 from dynaviz.scores.failure_case import FailureCase
-from dynaviz.scores.looks import CaseLooks
+from dynaviz.scores.looks import CaseLooks, Ceiling, Estimate
 from dynaviz_eval.attribution import sentence, shape
 from dynaviz_eval.cases import Cases, summed
 from dynaviz_eval.causes import MeasuredCause as Why
@@ -185,3 +185,17 @@ def test_a_single_point_has_no_near_cause() -> None:
     rows = np.arange(1)
     cause = cause_of("false_positive", looks_of(seen(0), rows))
     assert near_cause("false_positive", seen(0), rows, cause) is None
+
+
+def test_a_score_beyond_what_points_allow_has_what_objects_allow_beside_it() -> None:
+    found = Ceiling(
+        possible=Estimate(27.4, 1.2),
+        possible_by_object=Estimate(70.0),
+        removed_seen=Estimate(20.8),
+        removed_unseen=Estimate(33.3),
+        kept_seen=Estimate(6.4),
+        kept_unseen=Estimate(39.4),
+    )
+    assert found.of_kept().endswith("the drive allows 27.4 ±1.2 by point and 70.0 by object")
+    within = msgspec.structs.replace(found, removed_unseen=Estimate(0.1))
+    assert within.of_kept().endswith("the drive allows 27.4 ±1.2")
