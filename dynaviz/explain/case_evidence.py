@@ -122,7 +122,8 @@ def evidence_text(ledgers: Sequence[PointLedger], case: FailureCase | None) -> s
         parts.append(f"{others:,} other point{'s have' if others > 1 else ' has'} other reasons.")
     if case.grazed is not None:
         parts.append(
-            f"Rays meet {100 * case.grazed:.0f} % of its surface at less than {GRAZING:g}°."
+            f"The rays that ended on it met {100 * case.grazed:.0f} % of its surface at "
+            f"less than {GRAZING:g}°."
         )
     return " ".join(parts)
 

@@ -121,7 +121,8 @@ def test_a_case_and_its_points_have_one_cause(
             else "another reason decides" in text
         )
         stated = (
-            f"Rays meet {100 * (case.grazed or 0):.0f} % of its surface at less than {GRAZING:g}°."
+            f"The rays that ended on it met {100 * (case.grazed or 0):.0f} % of its surface at "
+            f"less than {GRAZING:g}°."
         )
         assert evidence_text(ledgers, case).endswith(stated) == (case.grazed is not None)
 
