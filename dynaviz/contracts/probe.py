@@ -40,10 +40,30 @@ class Mask:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ImageSpan:
+    """The directions that a range image shows; a pixel is a step of both angles.
+
+    Attributes:
+        left, right: azimuths of its edges, radians, about the sensor's z axis from its x axis; not
+            wrapped, so that right is the larger one if azimuth grows to the right.
+        top, bottom: elevations of its edges, radians above the sensor's xy plane.
+    """
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RangeImage:
-    """A range image: (rows, columns) float32, metres, first row at the top; NaN without return."""
+    """A range image: (rows, columns) float32, metres, first row at the top; NaN without return.
+
+    With its span, recordings mark cases in it.
+    """
 
     ranges: F32
+    span: ImageSpan | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -90,6 +90,11 @@ def state(method: str, state: State) -> str:
     return f"{WORLD}/{method}/{state.name}" if issubclass(state.kind, SOLID) else LOG
 
 
+def in_state(path: str) -> str:
+    """The outline of a case in a picture of a state."""
+    return f"{path}/case"
+
+
 def key(method: str, state: State) -> str:
     """The key of a tab of states, by its first state."""
     return f"{method}/keys/{state.name}"

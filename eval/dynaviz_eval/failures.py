@@ -112,7 +112,9 @@ class FailuresMetric:
         scan = labelled.scan
         self._frame = labelled.frame
         # 0 means unlabelled
-        self._names |= {number: name for number, name in scan.class_names.items() if number}
+        self._names |= {
+            number: class_in_words(name) for number, name in scan.class_names.items() if number
+        }
         self._totals["false_negative"] += dynamic
         self._totals["false_positive"] += static
         self._grounded &= heights is not None
@@ -342,6 +344,12 @@ def looked_at(listed: list[_Found]) -> list[_Found]:
 
     wanted = bisect_right(range(MOST_LOOKED_AT + 1), KEEP * LOOKED_AT, key=total) - 1
     return [replace(found, sample=smallest(found.sample, wanted)) for found in listed]
+
+
+def class_in_words(name: str) -> str:
+    """The name of a class in words: ``rigid bus`` for ``vehicle.bus.rigid``."""
+    _, *parts = name.split(".")
+    return " ".join(reversed(parts)).replace("_", " ") if parts else name
 
 
 def spans_of_looks(by_frame: I32) -> Spans:

@@ -18,7 +18,7 @@ from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.scores.failure_case import FailureCase, RangeSpan
 from dynaviz.scores.spans import in_words, shared_objects
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, summed
-from dynaviz_eval.failures import FailuresMetric, spans_of_looks
+from dynaviz_eval.failures import FailuresMetric, class_in_words, spans_of_looks
 
 pytestmark = pytest.mark.boundscheck
 
@@ -335,3 +335,17 @@ def test_looks_are_taken_at_as_many_points_of_each_case(
     metric.update(labelled(0, points, 1, False))
     groups = metric.places().groups
     assert np.bincount(groups[groups >= 0]).tolist() == looked_at
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("vehicle.bus.rigid", "rigid bus"),
+        ("vehicle.car", "car"),
+        ("human.pedestrian.adult", "adult pedestrian"),
+        ("static_object.bicycle_rack", "bicycle rack"),
+        ("moving car", "moving car"),
+    ],
+)
+def test_classes_are_named_in_words(name: str, words: str) -> None:
+    assert class_in_words(name) == words

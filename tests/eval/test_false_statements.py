@@ -125,7 +125,7 @@ def test_what_an_object_hid_itself_does_not_lack_a_background(runs, real_data):
 def test_behaviour_is_that_of_the_frames_of_the_case(runs, real_data):
     """Bus 51 "stood still until the end" in frames in which it moves 2 m each."""
     for method in ("seethrough", "dufomap"):
-        bus = kept(runs(method, str(real_data / "nuscenes")), "bus.rigid 51")
+        bus = kept(runs(method, str(real_data / "nuscenes")), "rigid bus 51")
         assert bus.behaviour == "came to a stop"
         assert bus.moved > 5
 

@@ -195,7 +195,7 @@ def test_no_picture_of_an_earlier_case_remains(
     monkeypatch.setattr(case_timeline, "PICTURES", 1)
     recording = RunRecording(record_with_metrics(room(), tmp_path / "run.rrd"))
     shown = at_cases(recording, "guess/ranges")
-    assert "DepthImage:buffer" in shown[1]
+    assert "EncodedDepthImage:blob" in shown[1]
     assert shown[2].keys() == {"Clear:is_recursive"}
     assert list(shown) == [1, 2]
     assert len(at_cases(recording, "world/guess/cells")) == len(failures(recording)) > 2

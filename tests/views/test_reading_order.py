@@ -16,6 +16,7 @@ from helpers.worlds import room
 from rerun.chunk import Chunk, RrdReader
 
 from dynaviz.views import paths, reading_order
+from dynaviz.views.read.chunks import chunks_in
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.read.repair import repaired
 
@@ -44,6 +45,20 @@ def place(chunk: Chunk) -> int:
     if paths.CASE in chunk.timeline_names:
         return CASES
     return FRAMES if str(chunk.entity_path) in BY_FRAME else CURVES
+
+
+def test_what_the_first_screen_needs_arrives_before_the_first_frame(
+    ordered: Path, as_written: Path
+) -> None:
+    """Counted in bytes of the file, as they arrive over a network."""
+    first = {}
+    for path in (ordered, as_written):
+        found = list(chunks_in(path))
+        starts = [at for at, _, entity, on in found if entity in BY_FRAME and paths.FRAME in on]
+        cases = [end for _, end, _, on in found if paths.CASE in on]
+        first[path] = min(starts), max(cases)
+    assert first[ordered][1] <= first[ordered][0] < ordered.stat().st_size
+    assert first[as_written][1] > first[as_written][0]  # which the other order improves
 
 
 def test_the_layout_texts_and_cases_come_before_frames(ordered: Path) -> None:

@@ -32,6 +32,7 @@ _TABLE = 5
 # end of a layout's message: make it active and default
 _ACTIVE = b"\x10\x01\x18\x01"
 _PASSIVE = b"\x10\x00\x18\x01"
+_INDEX = b"rerun:index_name"  # of a column that is a timeline
 _LZ4 = 2  # a compression; 1 is none
 _MOST = 255  # bytes that LZ4 decompresses from one byte, at most
 
@@ -122,6 +123,33 @@ def without_layout(path: Path) -> Iterator[bytes]:
             if kind == _LAYOUT and message.endswith(_ACTIVE):
                 message = message.removesuffix(_ACTIVE) + _PASSIVE
             yield message
+
+
+def chunks_in(path: Path) -> Iterator[tuple[int, int, str, set[str]]]:
+    """First byte, end, entity and timelines of each chunk of a recording, in file order.
+
+    Raises:
+        OSError: if the file cannot be read.
+    """
+    with path.open("rb") as file:
+        at = len(file.read(_START))
+        for kind, message in _messages(file):
+            if kind == _CHUNK:
+                schema = _table(message[_HEAD.size :]).schema
+                known = (field.metadata or {} for field in schema)
+                indexes = {of[b"rerun:index_name"].decode() for of in known if _INDEX in of}
+                entity = (schema.metadata or {})[b"rerun:entity_path"].decode()
+                yield at, at + len(message), entity, indexes
+            at += len(message)
+
+
+def _table(content: bytes) -> Any:
+    """The table of a chunk, as a reader of its batches."""
+    fields = dict(_fields(content))
+    table = fields[_TABLE]
+    if fields.get(_COMPRESSION) == _LZ4:
+        table = pa.decompress(table, fields[_SIZE], "lz4_raw")
+    return pa.ipc.open_stream(table)
 
 
 def _messages(file: BinaryIO) -> Iterator[tuple[int, bytes]]:

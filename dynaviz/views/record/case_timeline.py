@@ -8,6 +8,7 @@ costliest case in the frame.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -24,6 +25,8 @@ from dynaviz.scores.spans import LANES, lane
 from dynaviz.views import classes, drawn, object_lanes, paths, stored_ledgers
 from dynaviz.views.cases import POINTS, ShownCase, middle_of
 from dynaviz.views.layout import CIRCLE
+from dynaviz.views.record import outlines
+from dynaviz.views.record.outlines import FlatStates
 from dynaviz.views.record.scene import NAME_STYLE, WIRES
 from dynaviz.views.record.sink import RecordingFile
 
@@ -104,26 +107,28 @@ class CaseTimeline:
                 self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=fixed))
 
     def draw(
-        self, repeat: Repeat, members: Members, sensor: F64, boxes: FrameBoxes
+        self, repeat: Repeat, members: Members, poses: F64, boxes: FrameBoxes, flat: FlatStates
     ) -> tuple[str | None, dict[str, F32]]:
         """Draw the cases, on both timelines, and store the evidence on their points.
 
         Args:
             repeat: repeats the run.
             members: tells which of the recorded points belong to a case, by their rows and places.
-            sensor: (frames, 3) metres, world frame: its positions.
+            poses: (frames, 4, 4) T_world_sensor of each frame.
             boxes: of the cases, by frame.
+            flat: the pictures of the method's states.
 
         Returns:
             Of the first case: the state that shows most about it, None if no state was drawn there;
             and by path, the lines that cameras track.
         """
+        sensor = poses[:, :3, 3]
         states = [f"{paths.WORLD}/{self._info.name}/**", f"{self._info.name}/**"]
         drawn_boxes = [paths.FAILURES, paths.CLUSTERS]
         scan = [paths.SCAN, paths.SCAN_ROWS, paths.SENSOR]
         contents = [*scan, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
-        self._styles()
+        self._styles(flat)
         asked = [points_of(case, scan_of(rows, case.frame), members) for case in self._cases]
         ledgers = repeat(
             [(case.frame, points) for case, points in zip(self._cases, asked, strict=True)]
@@ -151,11 +156,12 @@ class CaseTimeline:
                 for path, row in here.items()
                 if case.number <= self._shown_until(path)
             )
+            self._mark(flat, case, poses[case.frame])
             for path in {path for path, _ in rows if path != paths.SCAN_ROWS}:
                 if case.number == self._shown_until(path) + 1:
                     # or the picture of an earlier case would remain
                     self._sink.log(path, rr.Clear(recursive=False))
-        self._by_frame(sensor, boxes)
+        self._by_frame(poses, boxes, flat)
         return deciding[0], _tracked(
             self._cases[0].low, self._cases[0].high, sensor[self._cases[0].frame]
         )
@@ -188,7 +194,7 @@ class CaseTimeline:
         for path, lines in _tracked(low, high, sensor).items():
             self._sink.log(path, rr.LineStrips3D.from_fields(strips=lines))
 
-    def _styles(self) -> None:
+    def _styles(self, flat: FlatStates) -> None:
         """What is the same for all cases."""
         log = self._sink.log
         lines = rr.LineStrips3D.from_fields
@@ -200,6 +206,8 @@ class CaseTimeline:
         legend = [(kind, name, (*colours.RAYS[kind], OPACITY)) for kind, name in rays.NAMES.items()]
         log(paths.RAY_CLASSES, rr.AnnotationContext(legend), static=True)
         log(paths.CASE_RAYS, lines(radii=RAYS), static=True)
+        for path in flat.paths:
+            log(paths.in_state(path), outlines.STYLE, static=True)
 
     def _rays(self, touching: rays.TouchingRays) -> None:
         kinds = touching.kinds.astype(np.uint16)
@@ -221,8 +229,22 @@ class CaseTimeline:
     def _text(self, text: str) -> None:
         self._sink.log(paths.CASE_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
-    def _by_frame(self, sensor: F64, boxes: FrameBoxes) -> None:
+    def _mark(self, flat: FlatStates, case: ShownCase, T_world_sensor: F64) -> None:
+        """Outline a case in the pictures that it shows."""
+        for path in flat.paths:
+            last = self._shown_until(path)
+            if case.number > last + 1:
+                continue
+            mark: Any = rr.Clear(recursive=False)
+            if case.number <= last:
+                outline = flat.outline(path, case.low, case.high, T_world_sensor)
+                if outline is not None:
+                    mark = outlines.drawn(outline, case.outcome)
+            self._sink.log(paths.in_state(path), mark)
+
+    def _by_frame(self, poses: F64, boxes: FrameBoxes, flat: FlatStates) -> None:
         """Show in each frame the costliest of its cases."""
+        sensor = poses[:, :3, 3]
         each = [case.cost_of_point for case in self._cases]
         shown = np.flatnonzero(boxes.case < len(self._cases))
         of = boxes.case[shown]
@@ -256,12 +278,34 @@ class CaseTimeline:
         self._sink.columns(
             paths.CASE_AIM, frames.tolist(), [None], aims.partition([AIM_LINES] * len(frames))
         )
+        boxes_of = list(zip(frames.tolist(), low, high, strict=True))
+        for path in flat.paths:
+            found = [flat.outline(path, low, high, poses[frame]) for frame, low, high in boxes_of]
+            self._marks_by_frame(path, frames, cases, found)
         last = None
         for frame, case in zip(frames.tolist(), cases, strict=True):
             if case is not last:
                 self._sink.at(frame, None)
                 self._text(f"{case.text}\n\n{HOW}")
                 last = case
+
+    def _marks_by_frame(
+        self, path: str, frames: I64, cases: Sequence[ShownCase], found: Sequence[F32 | None]
+    ) -> None:
+        """Outline cases in a picture, each in its frame; out of view none."""
+        columns = rr.LineStrips2D.columns(
+            strips=[outline for outline in found if outline is not None],
+            colors=[
+                colours.BRIGHT[case.outcome]
+                for case, outline in zip(cases, found, strict=True)
+                if outline is not None
+            ],
+        )
+        counts = [int(outline is not None) for outline in found]
+        if any(counts):
+            self._sink.columns(
+                paths.in_state(path), frames.tolist(), [None], columns.partition(counts)
+            )
 
 
 def object_of(case: ShownCase) -> str:

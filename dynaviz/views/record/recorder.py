@@ -40,6 +40,7 @@ from dynaviz.views.layout import Findings, layout
 from dynaviz.views.record import case_table, sink, states, turns
 from dynaviz.views.record.budget import Budget
 from dynaviz.views.record.case_timeline import CaseTimeline
+from dynaviz.views.record.outlines import FlatStates
 from dynaviz.views.record.quota import Quota
 from dynaviz.views.record.report import OutcomeCounts, before, failure_list, removed, report
 from dynaviz.views.record.scene import MapDrawing
@@ -133,7 +134,8 @@ class Recorder(Listener):
         self._run = run
         self._summary = summary
         drawn = self.mode != "scores"
-        self._positions: list[F64] = []
+        self._poses: list[F64] = []
+        self._flat = FlatStates()
         self._given = numbers_of(dataclasses.asdict(run.params))
         self._quota = Quota(
             self._budget, summary.points, summary.frames, run.method is not None and not run.online
@@ -179,7 +181,7 @@ class Recorder(Listener):
         the background.
         """
         self._stamp_ns = labelled.scan.stamp_ns
-        self._positions.append(labelled.scan.position)
+        self._poses.append(labelled.scan.T_world_sensor)
         # The method may use its arrays again for the next scan.
         kept = dataclasses.replace(
             labelled, dynamic=labelled.dynamic.copy(), reasons=labelled.reasons.copy()
@@ -248,7 +250,7 @@ class Recorder(Listener):
                 evidence.
         """
         self._background.wait()
-        self._open.at(len(self._positions) - 1, self._stamp_ns)
+        self._open.at(len(self._poses) - 1, self._stamp_ns)
         self._curves.write()
         if self._scene is not None:
             self._scene.finish()
@@ -306,7 +308,7 @@ class Recorder(Listener):
             sample = stored_points.component(boxes.sample)
             self._open.log(paths.CASE_POINTS, sample, static=True)
         members = partial(self._members, CasePoints(result.failures, boxes.sample))
-        state, tracked = timeline.draw(repeat, members, np.array(self._positions), boxes)
+        state, tracked = timeline.draw(repeat, members, np.array(self._poses), boxes, self._flat)
         if self._sample is not None:
             turns.write(self._open, self._sample)
         return Findings(truth, True, tracked, state, curves, self._sample is not None)
@@ -452,6 +454,7 @@ class Recorder(Listener):
             elif (drawn := states.draw(value, state, scan, budget)) is not None:
                 path = paths.state(self._info.name, state)
                 self._open.log(path, drawn)
+                self._flat.add(path, value)
                 if isinstance(value, PolarGrid):
                     self._guide(path, value, scan)
 

@@ -14,7 +14,7 @@ from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
 from dynaviz.blocks.blocks import VOXELS, BlockGrid, read, voxels_of
 from dynaviz.blocks.window import Window
 from dynaviz.contracts.extent import CELL, Extent
-from dynaviz.contracts.probe import Voxels
+from dynaviz.contracts.probe import ImageSpan, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz.spatial.grid import SHIFTS
 
@@ -57,6 +57,17 @@ class SensorView:
             self.columns / (2 * math.pi),
         )
 
+    @property
+    def span(self) -> ImageSpan:
+        """The directions that the image shows."""
+        _, columns, top, per_row, per_column = self.numbers
+        return ImageSpan(
+            left=-math.pi - 0.5 / per_column,
+            right=(columns - 0.5) / per_column - math.pi,
+            top=top + 0.5 / per_row,
+            bottom=top - (self.rows - 0.5) / per_row,
+        )
+
 
 class FreeSpace:
     """Truncated signed distances and ever-free flags of the voxels where points can lie and of
@@ -71,6 +82,7 @@ class FreeSpace:
         neighbours: (B, 27) int32: numbers of the blocks around each block; -1 if absent.
         image: (rows, columns) float32, metres: the last scan's range image, 0 for pixels without
             return.
+        span: the directions that it shows.
     """
 
     def __init__(self, extent: Extent, params: Any, view: SensorView) -> None:
@@ -102,6 +114,7 @@ class FreeSpace:
         self._seen: list[I32] = []  # blocks visited in each of the last frames
         self._in_view = np.empty(0, np.int32)
         self.image = np.zeros((view.rows, view.columns), np.float32)
+        self.span = view.span
 
     def _lay_out(self, extent: Extent) -> int:
         """Allocate the blocks where points can lie and the blocks around them.

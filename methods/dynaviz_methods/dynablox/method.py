@@ -331,7 +331,10 @@ class Dynablox:
         if wants("range_image"):
             emit(
                 "range_image",
-                RangeImage(np.where(self._map.image > 0, self._map.image, np.float32(np.nan))),
+                RangeImage(
+                    np.where(self._map.image > 0, self._map.image, np.float32(np.nan)),
+                    self._map.span,
+                ),
             )
         for name, bits in (("became_free", new), ("revoked", lost)):
             if wants(name):

@@ -321,9 +321,8 @@ class Freedom:
             ("sky", filled, chosen),
         ):
             if self._probe.wants(name):
-                self._probe.emit(
-                    name, RangeImage(np.where(shown, metres, np.nan).astype(np.float32))
-                )
+                shown_metres = np.where(shown, metres, np.nan).astype(np.float32)
+                self._probe.emit(name, RangeImage(shown_metres, image.span))
         return image.targets(scan, filled, chosen)
 
     def _show(self, scan: Scan, own: U8, crossed: I64, freed: I64, lost: I64) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64
-from dynaviz.contracts.probe import RangeImage
+from dynaviz.contracts.probe import ImageSpan, RangeImage
 
 SHARED = kernels.load("dynaviz_methods.shared.kernels")
 
@@ -81,4 +81,15 @@ def picture(flat: F32, view: F64) -> RangeImage:
     """
     (pixels,) = slices(view[None])
     image = flat[pixels].reshape(int(view[0]), int(view[1]))[:, ::-1]
-    return RangeImage(np.where(np.isfinite(image), image, np.float32(np.nan)))
+    return RangeImage(np.where(np.isfinite(image), image, np.float32(np.nan)), span_of(view))
+
+
+def span_of(view: F64) -> ImageSpan:
+    """The directions that an image shows, as ``picture`` turns it."""
+    rows, columns, level, per_row, ahead, per_column = view[:6].tolist()
+    return ImageSpan(
+        left=(columns - 0.5 - ahead) / per_column,
+        right=(-0.5 - ahead) / per_column,
+        top=(level + 0.5) / per_row,
+        bottom=(level - rows + 0.5) / per_row,
+    )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, U8, Bool
+from dynaviz.contracts.probe import ImageSpan
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz_methods.shared.range_images import whole
@@ -56,6 +57,12 @@ class DepthImage:
     def columns(self) -> int:
         """Number of columns."""
         return math.ceil(2 * math.pi / self.pixel)
+
+    @property
+    def span(self) -> ImageSpan:
+        """The directions that the image shows."""
+        half = self.pixel / 2
+        return ImageSpan(math.pi, -math.pi, self.top + half, self.bottom - half)
 
     @property
     def _view(self) -> F64:
