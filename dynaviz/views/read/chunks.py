@@ -137,7 +137,7 @@ def chunks_in(path: Path) -> Iterator[tuple[int, int, str, set[str]]]:
             if kind == _CHUNK:
                 schema = _table(message[_HEAD.size :]).schema
                 known = (field.metadata or {} for field in schema)
-                indexes = {of[b"rerun:index_name"].decode() for of in known if _INDEX in of}
+                indexes = {of[_INDEX].decode() for of in known if _INDEX in of}
                 entity = (schema.metadata or {})[b"rerun:entity_path"].decode()
                 yield at, at + len(message), entity, indexes
             at += len(message)
