@@ -30,21 +30,8 @@ from dynaviz.progress import Progress, silent
 from dynaviz.views.read.still import spread
 
 PAGE = Path(__file__).with_name("page")
-SCRIPTS = (
-    "main.js",
-    "cards.js",
-    "correct.js",
-    "dial.js",
-    "dom.js",
-    "keys.js",
-    "plot.js",
-    "rectangle.js",
-    "share.js",
-    "state.js",
-    "whatif.js",
-    "why.js",
-)
 REPLACED = {"server.js": "embedded.js", "viewer.js": "still.js"}
+IMPORT = re.compile(r"from '\./([\w.]+)'")  # of a script by another
 POLICY = (  # the browser itself refuses all requests
     "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; "
     "img-src data:; base-uri 'none'; form-action 'none'"
@@ -109,8 +96,7 @@ def page(answers: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
         answers: by question, as the page writes it.
         pictures: by run, owner and number of the case, its frames with the content of a picture.
     """
-    files = {name: name for name in SCRIPTS} | REPLACED
-    modules = {name: _module((PAGE / file).read_text()) for name, file in files.items()}
+    modules = {name: _module(script) for name, script in _scripts().items()}
     packed = base64.b64encode(gzip.compress(_json(answers).encode(), 9, mtime=0)).decode()
     head = (
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
@@ -134,9 +120,21 @@ def page(answers: Mapping[str, Any], pictures: Mapping[str, Any]) -> str:
     return html
 
 
+def _scripts() -> dict[str, str]:
+    """The scripts of the page by name: the first one, and all that are imported."""
+    found: dict[str, str] = {}
+    waiting = ["main.js"]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found[name] = (PAGE / REPLACED.get(name, name)).read_text()
+            waiting += IMPORT.findall(found[name])
+    return found
+
+
 def _module(script: str) -> str:
     """A module of the page as an address, which imports others by their names alone."""
-    script = re.sub(r"from '\./([\w.]+)'", r"from '\1'", script)
+    script = IMPORT.sub(r"from '\1'", script)
     return "data:text/javascript;charset=utf-8;base64," + base64.b64encode(script.encode()).decode()
 
 
