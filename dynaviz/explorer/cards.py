@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
+from dynaviz.arrays import F64, I64, Bool, Intp
 from dynaviz.contracts.scan import ERRORS, Outcome
 from dynaviz.explain.point_ledger import PointLedger
 from dynaviz.explain.rays import evenly
@@ -21,7 +21,7 @@ from dynaviz.scores.case_points import inside
 from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.sections import RemovedCluster
 from dynaviz.views.cases import middle_of, title_of
-from dynaviz.views.read.still import Still
+from dynaviz.views.read.still import Still, with_map
 
 BARS = 40  # of a sparkline, at most
 MARGIN = 0.02  # metres around the box of a case, whose corners are rounded
@@ -266,7 +266,7 @@ def surroundings(run: ExploredRun, card: Card, ledgers: Sequence[PointLedger]) -
     low = card.low - MAP_MARGIN
     high = card.high + MAP_MARGIN
     mine = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == card.case.worst_frame]]
-    xyz, outcome = _around(run, card.case.worst_frame)
+    xyz, outcome = with_map(run.map, run.drawn(card.case.worst_frame))
     inside = ((xyz >= low) & (xyz <= high)).all(1)
     around = {each.name.lower(): xyz[inside & (outcome == each)] for each in Outcome}
     return {
@@ -306,21 +306,8 @@ def picture(
     import cv2
 
     frame, low, high = place or (card.case.worst_frame, card.low, card.high)
-    xyz, outcome = _around(run, frame)
+    xyz, outcome = with_map(run.map, run.drawn(frame))
     still = Still(low, high, size)
     still.draw(xyz, outcome, card.outcome)
     lossless = [cv2.IMWRITE_WEBP_QUALITY, 101] if kind == ".webp" else []
     return cv2.imencode(kind, still.pixels[:, :, ::-1], lossless)[1].tobytes()
-
-
-def _around(run: ExploredRun, frame: int) -> tuple[F32, U8]:
-    """Points of the map and of a frame.
-
-    (N, 3) float32, metres, world frame, and their outcomes.
-    """
-    drawn = run.drawn(frame)
-    kept = run.map
-    if drawn is None:
-        return kept, np.full(len(kept), Outcome.STATIC_KEPT, np.uint8)
-    outcome = np.concatenate([np.full(len(kept), Outcome.STATIC_KEPT, np.uint8), drawn.outcome])
-    return np.concatenate([kept, drawn.xyz]), outcome

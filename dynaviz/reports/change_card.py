@@ -24,7 +24,7 @@ from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.comparison.surfaces import SurfaceChange, SurfaceFate
 from dynaviz.views import paths
 from dynaviz.views.read.reader import DrawnPoints, RunRecording
-from dynaviz.views.read.still import Still, spread
+from dynaviz.views.read.still import Still, spread, with_map
 
 LISTED = 10  # changes of a pair, at most
 SHOWN = ("SA", "DA", "AA")
@@ -288,7 +288,7 @@ class PairCard:
             _write(pixels, f"frame {frame}", left + 4, HEAD - 6)
             for i in (0, 1):
                 top = HEAD + i * (height + GAP)
-                xyz, outcome = self._points(i, frame)
+                xyz, outcome = with_map(self._maps[i], self._drawn[i].get(frame))
                 still = Still(strip.low[k], strip.high[k], TILE, CLOSEST)
                 still.draw(xyz, outcome, front)
                 still.outline()
@@ -296,15 +296,6 @@ class PairCard:
         for i, run in enumerate(self._runs):
             _write(pixels, run.letter, 5, HEAD + i * (height + GAP) + height // 2)
         return pixels
-
-    def _points(self, i: int, frame: int) -> tuple[F32, U8]:
-        """Points of a run's map and of one frame, and their outcomes."""
-        kept = self._maps[i]
-        outcome = np.full(len(kept), Outcome.STATIC_KEPT, np.uint8)
-        drawn = self._drawn[i].get(frame)
-        if drawn is None:
-            return kept, outcome
-        return np.concatenate([kept, drawn.xyz]), np.concatenate([outcome, drawn.outcome])
 
 
 def _wrong(recording: RunRecording, drawn: Iterable[DrawnPoints]) -> dict[int, tuple[I64, F32]]:

@@ -144,11 +144,18 @@ def chunks_in(path: Path) -> Iterator[tuple[int, int, str, set[str]]]:
 
 
 def _table(content: bytes) -> Any:
-    """The table of a chunk, as a reader of its batches."""
+    """The table of a chunk, as a reader of its batches.
+
+    Raises:
+        ValueError: for a size that cannot be right.
+    """
     fields = dict(_fields(content))
     table = fields[_TABLE]
     if fields.get(_COMPRESSION) == _LZ4:
-        table = pa.decompress(table, fields[_SIZE], "lz4_raw")
+        size = fields[_SIZE]
+        if size > _MOST * len(table):
+            raise ValueError(f"{len(table):,} bytes cannot contain {size:,}")
+        table = pa.decompress(table, size, "lz4_raw")
     return pa.ipc.open_stream(table)
 
 
@@ -177,14 +184,7 @@ def _next_chunk(content: mmap.mmap, at: int) -> int:
 def _problem(content: bytes) -> str | None:
     """What is wrong with a chunk, or None."""
     try:
-        fields = dict(_fields(content))
-        table = fields[_TABLE]
-        if fields.get(_COMPRESSION) == _LZ4:
-            size = fields[_SIZE]
-            if size > _MOST * len(table):
-                raise ValueError(f"{len(table):,} bytes cannot contain {size:,}")
-            table = pa.decompress(table, size, "lz4_raw")
-        with pa.ipc.open_stream(table) as batches:
+        with _table(content) as batches:
             rows = 0
             for batch in batches:
                 batch.validate(full=True)

@@ -11,6 +11,7 @@ from dynaviz import colours
 from dynaviz.arrays import F32, F64, U8
 from dynaviz.contracts.scan import Outcome
 from dynaviz.views.read.focus import ASIDE, CLOSEST, FIELD_OF_VIEW, distance_to
+from dynaviz.views.read.reader import DrawnPoints
 
 NEAREST = 0.5  # metres: what is nearer to the eye is not drawn
 SPARE = 4  # pixels between a box and its outline
@@ -84,6 +85,14 @@ class Still:
             column = width / 2 + scale * (offset @ right) / depth
             row = height / 2 - scale * (offset @ up) / depth
         return column, row, depth
+
+
+def with_map(kept: F32, drawn: DrawnPoints | None) -> tuple[F32, U8]:
+    """Points of a map and of a frame, (N, 3) float32, metres, world frame, and their outcomes."""
+    outcome = np.full(len(kept), Outcome.STATIC_KEPT, np.uint8)
+    if drawn is None:
+        return kept, outcome
+    return np.concatenate([kept, drawn.xyz]), np.concatenate([outcome, drawn.outcome])
 
 
 def spread(frames: Sequence[int], worst: int, most: int) -> list[int]:
