@@ -90,16 +90,13 @@ class Ledger(Listener):
                     book.asked = dataclasses.replace(book.asked, first=first)
                 first += len(sequence[frame])
 
-    def cells(self) -> F64 | None:
-        """(K, 2, 3) float64, metres, world frame: only rays that touch them can change what the
-        method knows about the points.
-
-        None if any ray can.
-        """
-        books = [book for book in self._books.values() if not book.over and len(book.points)]
-        if not all(book.alone for book in books):
-            return None
-        return np.concatenate([np.empty((0, 2, 3)), *(book.cells for book in books)])
+    def asking(self) -> list[tuple[bool, F64]]:
+        """``alone`` and ``cells``, as in ``Evidence``, of points that later scans may change."""
+        return [
+            (book.alone, book.cells)
+            for book in self._books.values()
+            if not book.over and len(book.points)
+        ]
 
     def observing(self, frame: int, scan: Scan) -> None:
         """Keep the scan."""

@@ -91,10 +91,13 @@ def repeat(
         witnesses.begin(run.labeller, sequence)
 
     def cells() -> F64 | None:
-        asking: list[Ledger | Witnesses] = [ledger] if witnesses is None else [ledger, witnesses]
-        asked = [each.cells() for each in asking]
-        parts = [part for part in asked if part is not None]
-        return np.concatenate(parts) if len(parts) == len(asked) else None
+        """(K, 2, 3) metres, world frame: only rays that touch them can change what the method
+        knows about the points; None if any ray can.
+        """
+        asking = ledger.asking() + ([] if witnesses is None else witnesses.asking())
+        if not all(alone for alone, _ in asking):
+            return None
+        return np.concatenate([np.empty((0, 2, 3)), *(around for _, around in asking)])
 
     def observe(frame: int, scan: Scan) -> None:
         assert method is not None

@@ -205,12 +205,9 @@ class Witnesses:
             removed = np.isin(self._drawn.outcomes[self._drawn.stratum[which]], REMOVED)
             self._asked[frame] = _Asked(asked, removed, self._given)
 
-    def cells(self) -> F64 | None:
-        """(K, 2, 3) float64, metres, world frame: as of ``Ledger``."""
-        asked = [each for each in self._asked.values() if not each.over]
-        if not all(each.alone for each in asked):
-            return None
-        return np.concatenate([np.empty((0, 2, 3)), *(each.cells for each in asked)])
+    def asking(self) -> list[tuple[bool, F64]]:
+        """As of ``Ledger``."""
+        return [(each.alone, each.cells) for each in self._asked.values() if not each.over]
 
     def observed(self) -> None:
         """After a scan."""

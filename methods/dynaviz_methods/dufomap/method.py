@@ -164,7 +164,7 @@ class DufoMap:
         voxels, within = located = self._located(scan)
         self._last = scan.index, located
         self._seen = seen = self._grid.see(scan, voxels, within & (voxels >= 0))
-        self._marked: MarkedBlocks | None = None  # made when evidence is asked for
+        self._marked = MarkedBlocks(seen.blocks)
         SHARED.voids.remember(
             seen.blocks, seen.hit, seen.observed, seen.void, self._seen_free, self._crossed
         )
@@ -202,8 +202,6 @@ class DufoMap:
         voxels = self._grid.locate(asked.points)
         margin = self.params.unknown_margin
         cubes = around(self._grid, voxels, margin)
-        if self._marked is None:
-            self._marked = MarkedBlocks(seen.blocks)
         marked = self._marked
         observed = marked.read(seen.observed, cubes.ravel()).reshape(cubes.shape).sum(1)
         own, hit = (marked.read(bits, voxels) for bits in (seen.observed, seen.hit))

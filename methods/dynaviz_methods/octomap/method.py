@@ -220,7 +220,7 @@ class OctoMap:
         marks = self._grid.mark(scan, casts=self._casts(noise, ground), hits=~ground)
         KERNELS.log_odds.update(self._log_odds, self._ever, marks.blocks, marks.bits, *self._logits)
         self._marks = marks
-        self._marked: MarkedBlocks | None = None  # made when evidence is asked for
+        self._marked = MarkedBlocks(marks.blocks)
         if any(self._probe.wants(state.name) for state in STATES[:3]):
             self._show(marks)
 
@@ -253,11 +253,8 @@ class OctoMap:
         voxels = self._grid.locate(asked.points)
         log_odds = known(self._log_odds.ravel()[voxels], voxels)
         rule = Rule("free", (Term("log-odds", log_odds, "<", 0.0), *self._exceptions(asked)))
-        if self._marked is None:
-            self._marked = MarkedBlocks(self._marks.blocks)
-        marked = self._marked
         steps = tuple(
-            Step(name, parameter, marked.read(bits, voxels))
+            Step(name, parameter, self._marked.read(bits, voxels))
             for name, parameter, bits in (
                 ("crossed", "prob_miss", self._marks.bits[:, :8]),
                 ("hit", "prob_hit", self._marks.bits[:, 8:]),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dynaviz.arrays import F64, I32, I64, Bool
+from dynaviz.arrays import F64, I32, I64, Bool, Intp
 from dynaviz.blocks.blocks import BlockGrid
 
 
@@ -26,8 +27,15 @@ class MarkedBlocks:
     """
 
     def __init__(self, blocks: I32) -> None:
-        self._order = np.argsort(blocks)
-        self._sorted = blocks[self._order]
+        self._blocks = blocks
+
+    @cached_property
+    def _order(self) -> Intp:
+        return np.argsort(self._blocks)  # few scans are asked about: not before the first question
+
+    @cached_property
+    def _sorted(self) -> I32:
+        return self._blocks[self._order]
 
     def read(self, bits: NDArray[Any], voxels: I64) -> Bool:
         """(N,) bool: whether the bits (B, 8) of voxels (N,) are set.
